@@ -1,0 +1,53 @@
+"""What the lab asks of an engine, and the plan that it is given. Engines know nothing of scenarios or processes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from netlab.medium.impairments import Impairment
+from netlab.medium.segments import Port, Segment
+
+
+@dataclass(frozen=True, slots=True)
+class LabPlan:
+    """Everything static that an engine builds. ``ports[i].index == i``; nodes are in scenario order."""
+
+    name: str
+    seed: int
+    nodes: tuple[str, ...]
+    ports: tuple[Port, ...]
+    segments: tuple[Segment, ...]
+
+
+Pair = tuple[int, int]  # (sender port, receiver port)
+
+
+class Engine(Protocol):
+    """Builds the namespaces and interfaces of a plan and keeps them as told. All calls block and are quick."""
+
+    @property
+    def namespace_fds(self) -> dict[str, int]:
+        """Network namespace of every node, held open for the lab's life."""
+
+    def bring_up(self) -> None:
+        """Create namespaces, interfaces and addresses, all up.
+
+        Raises:
+            MachineError: The kernel lacks something; names it and the way out.
+        """
+
+    def set_pairs(self, changes: dict[Pair, Impairment | None]) -> None:
+        """Change pairs at once; None takes a pair out of range."""
+
+    def set_outage(self, pairs: set[Pair], *, active: bool) -> None:
+        """Lose everything on ``pairs`` silently, carrier stays up; or end that. Frames already under way still arrive."""
+
+    def set_carrier(self, ports: set[int], *, up: bool) -> None:
+        """Pull or plug the cable at these ports: the node sees its carrier go and come."""
+
+    def record_verdicts(self, fd: int) -> None:
+        """Write one ``VERDICT_RECORD`` per decision to this stream socket from now on (``air`` only)."""
+
+    def close(self) -> None:
+        """Stop helper processes. Namespaces go when the last descriptor closes."""
