@@ -41,7 +41,7 @@ class Engine(Protocol):
         """Change pairs at once; None takes a pair out of range."""
 
     def set_outage(self, pairs: set[Pair], *, active: bool) -> None:
-        """Lose everything on ``pairs`` silently, carrier stays up; or end that. Frames already under way still arrive."""
+        """Lose everything on ``pairs`` silently, carrier stays up; or end that. Frames under way still arrive."""
 
     def set_carrier(self, ports: set[int], *, up: bool) -> None:
         """Pull or plug the cable at these ports: the node sees its carrier go and come."""
