@@ -1,0 +1,149 @@
+"""A netlink route socket that sends many messages at once and checks every answer. Knows bytes, not their meaning.
+
+The socket belongs to the network namespace in which it was made and keeps working when the thread has moved on.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+from collections.abc import Iterator, Sequence
+
+NLMSG_ERROR = 2
+NLMSG_DONE = 3
+NLM_F_ACK = 0x4
+_NLM_F_CAPPED = 0x100
+_NLM_F_ACK_TLVS = 0x200
+_NLMSGERR_ATTR_MSG = 1
+_SOL_NETLINK = 270
+_NETLINK_CAP_ACK = 10
+_NETLINK_EXT_ACK = 11
+
+HEADER = struct.Struct("=IHHII")  # length, type, flags, sequence number, port
+_ERROR = struct.Struct("=i")
+_ATTRIBUTE = struct.Struct("=HH")
+
+# The kernel answers a whole batch before this process reads the first answer; an ordinary user's receive buffer
+# (net.core.rmem_max, 208 KiB) holds about 250 of them and silently drops the rest.
+_BATCH_MESSAGES = 100
+_BATCH_BYTES = 128 * 1024
+
+
+class NetlinkError(OSError):
+    """The kernel refused message number ``position`` of a batch; ``reason`` is its own explanation, often empty."""
+
+    def __init__(self, number: int, position: int, reason: str) -> None:
+        super().__init__(number, os.strerror(number) + (f" ({reason})" if reason else ""))
+        self.position = position
+        self.reason = reason
+
+
+class NetlinkSocket:
+    """A NETLINK_ROUTE socket in the namespace of the thread that makes it."""
+
+    def __init__(self) -> None:
+        self._sock = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.NETLINK_ROUTE)
+        for option in (_NETLINK_CAP_ACK, _NETLINK_EXT_ACK):
+            self._sock.setsockopt(_SOL_NETLINK, option, 1)
+
+    def fileno(self) -> int:
+        """The descriptor; also good for interface ioctls in the socket's namespace."""
+        return self._sock.fileno()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._sock.close()
+
+    def request(self, messages: Sequence[bytes]) -> None:
+        """Send ``messages`` in order, as few system calls as fit, and check that the kernel took each one.
+
+        Raises:
+            NetlinkError: The first refused message. Later ones of its batch have been applied or refused as well: the
+                kernel does not stop at an error.
+        """
+        for first, batch in _batches(messages):
+            self._send(batch)
+            self._check_answers(first, len(batch))
+
+    def dump(self, message: bytes) -> list[bytes]:
+        """Send one dump request and return the messages of the answer, headers included.
+
+        Raises:
+            NetlinkError: The kernel refused.
+        """
+        self._sock.sendto(message, (0, 0))
+        answers: list[bytes] = []
+        while True:
+            for kind, answer in _split(self._sock.recv(1 << 18)):
+                if kind == NLMSG_DONE:
+                    return answers
+                if kind == NLMSG_ERROR:
+                    raise _error(answer, 0)
+                answers.append(answer)
+
+    def _send(self, batch: Sequence[bytes]) -> None:
+        data = bytearray()
+        for number, message in enumerate(batch):
+            start = len(data)
+            data += message
+            length, kind, flags, _, port = HEADER.unpack_from(message)
+            HEADER.pack_into(data, start, length, kind, flags | NLM_F_ACK, number, port)
+            data += bytes(-len(data) % 4)
+        self._sock.sendto(data, (0, 0))
+
+    def _check_answers(self, first: int, count: int) -> None:
+        failure: NetlinkError | None = None
+        while count:
+            for kind, answer in _split(self._sock.recv(1 << 16)):
+                if kind != NLMSG_ERROR:
+                    continue
+                count -= 1
+                if failure is None and _ERROR.unpack_from(answer, HEADER.size)[0]:
+                    failure = _error(answer, first)
+        if failure is not None:
+            raise failure
+
+
+def _batches(messages: Sequence[bytes]) -> Iterator[tuple[int, Sequence[bytes]]]:
+    first = size = 0
+    for position, message in enumerate(messages):
+        if position > first and (position - first == _BATCH_MESSAGES or size + len(message) > _BATCH_BYTES):
+            yield first, messages[first:position]
+            first, size = position, 0
+        size += len(message)
+    if first < len(messages):
+        yield first, messages[first:]
+
+
+def _split(data: bytes) -> Iterator[tuple[int, bytes]]:
+    start = 0
+    while start + HEADER.size <= len(data):
+        length, kind, _, _, _ = HEADER.unpack_from(data, start)
+        yield kind, data[start : start + length]
+        start += (length + 3) & ~3
+
+
+def _error(answer: bytes, first: int) -> NetlinkError:
+    flags = HEADER.unpack_from(answer)[2]
+    (number,) = _ERROR.unpack_from(answer, HEADER.size)
+    length, _, _, sequence, _ = HEADER.unpack_from(answer, HEADER.size + _ERROR.size)
+    reason = ""
+    if flags & _NLM_F_ACK_TLVS:
+        echoed = HEADER.size if flags & _NLM_F_CAPPED else length
+        reason = (
+            attributes(answer, HEADER.size + _ERROR.size + ((echoed + 3) & ~3)).get(_NLMSGERR_ATTR_MSG, b"").decode()
+        )
+    return NetlinkError(-number, first + sequence, reason.rstrip("\0"))
+
+
+def attributes(data: bytes, start: int) -> dict[int, bytes]:
+    """Return the attributes from ``start`` on by their type (flags removed); of equal types the last one."""
+    found = {}
+    while start + _ATTRIBUTE.size <= len(data):
+        length, kind = _ATTRIBUTE.unpack_from(data, start)
+        if length < _ATTRIBUTE.size:
+            break
+        found[kind & 0x3FFF] = data[start + _ATTRIBUTE.size : start + length]
+        start += (length + 3) & ~3
+    return found
