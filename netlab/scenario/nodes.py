@@ -1,0 +1,152 @@
+"""Nodes of a scenario, the processes that run in them, and the settings of the udp_mesh daemon."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchema, model_validator
+from pydantic_core import CoreSchema
+
+from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
+from netlab.scenario.quantities import SIZE, PositiveSeconds
+from netlab.scenario.radio import node_radio
+
+BUILTIN_PROCESSES = ("udp_mesh",)
+_LATER_PROCESSES = ("wnet", "rose")
+_LATER_MESHES = ("wnet", "batman", "batman_adv", "babel", "babeld")
+
+
+def _whole_bytes(value: object) -> int:
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    return int(SIZE.parse(value))
+
+
+WholeBytes = Annotated[int, BeforeValidator(_whole_bytes), WithJsonSchema({"type": ["integer", "string"]})]
+
+
+class TopicSettings(StrictModel):
+    """The daemon's settings of one topic; what is left out is the daemon's own default."""
+
+    priority: Annotated[int, Field(ge=0, le=255)] | None = None
+    reliability: Literal["reliable", "best_effort"] | None = None
+    keep: Literal["all", "latest"] | None = None
+    lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
+    offline: (
+        Annotated[
+            Literal["discard", "latest"],
+            BeforeValidator(lambda value: not_yet(value, ("discard", "latest"), ("store",), "offline policy")),
+        ]
+        | None
+    ) = None
+    rate_limit: NotYet = None
+    redundancy: NotYet = None
+
+
+class MeshSettings(StrictModel):
+    """Settings of the udp_mesh daemon, at top level or in a node (which wins); None leaves the daemon's default."""
+
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    window: Annotated[int, Field(ge=0, le=65535)] | None = None
+    prioritise: Switch | None = None
+    probe: Switch | None = None
+    payload_bytes: Annotated[WholeBytes, Field(ge=64, le=65507)] | None = None
+    beacon_interval_s: PositiveSeconds | None = Field(default=None, alias="beacon_interval")
+    queue_bytes: Annotated[WholeBytes, Field(ge=1)] | None = None
+    topics: dict[Topic, TopicSettings] | None = None
+    coordinate: NotYet = None
+    key: NotYet = None
+    neighbours: NotYet = None
+
+    def daemon_config(self) -> dict[str, Any]:
+        """The keys that are given, as the daemon's configuration names them (times in seconds, sizes in bytes)."""
+        return self.model_dump(exclude_none=True)
+
+
+class Process(StrictModel):
+    """A process of a node: a built-in daemon, or any argv. A file may write just the built-in's name.
+
+    ``ready``: `fd` waits until the process writes to the descriptor in $READY_FD, `started` only for its start.
+    """
+
+    builtin: (
+        Annotated[
+            Literal["udp_mesh"],
+            BeforeValidator(lambda value: not_yet(value, BUILTIN_PROCESSES, _LATER_PROCESSES, "process")),
+        ]
+        | None
+    ) = None
+    argv: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$")] = ""
+    env: dict[str, str] = Field(default_factory=dict)
+    ready: Literal["fd", "started"] = "started"
+    restart: Literal["never", "always"] = "never"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _normal_form(cls, value: object) -> object:
+        if isinstance(value, str):
+            value = {"builtin": value}
+        if not isinstance(value, dict):
+            return value
+        filled = dict(value)
+        argv = filled.get("argv")
+        if isinstance(argv, str):
+            raise ValueError("argv is a list, one entry per argument; write argv: [python3, node.py]")
+        if isinstance(argv, (list, tuple)):
+            filled["argv"] = [_as_text(part) for part in argv]
+        if isinstance(filled.get("env"), dict):
+            filled["env"] = {key: _as_text(part) for key, part in filled["env"].items()}
+        if filled.get("builtin") is not None:
+            filled.setdefault("ready", "fd")
+            filled.setdefault("name", filled["builtin"])
+        elif argv and isinstance(argv, (list, tuple)):
+            filled.setdefault("name", PurePosixPath(str(argv[0])).name)
+        return filled
+
+    @model_validator(mode="after")
+    def _one_program(self) -> Self:
+        if (self.builtin is None) == (self.argv is None):
+            raise ValueError("give the name of a built-in process (udp_mesh) or argv: [program, argument, ...]")
+        return self
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"enum": list(BUILTIN_PROCESSES)}, handler(schema)]}
+
+
+def _as_text(value: object) -> object:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return str(value) if isinstance(value, (int, float)) else value
+
+
+class Node(StrictModel):
+    """A robot, a relay or a base: where it stands and what runs in it. ``position`` is x, y and perhaps z in metres."""
+
+    position: Annotated[tuple[float, ...], Field(min_length=2, max_length=3)] = (0.0, 0.0)
+    processes: tuple[Process, ...] = ()
+    udp_mesh: MeshSettings | None = None
+    radio: Annotated[Literal["none"], BeforeValidator(node_radio), WithJsonSchema({"const": "none"})] | None = None
+    mesh: Annotated[
+        Literal["none"], BeforeValidator(lambda value: not_yet(value, ("none",), _LATER_MESHES, "mesh"))
+    ] = "none"
+    waypoints: NotYet = None
+    speed: NotYet = None
+    carried_by: NotYet = None
+    motion: NotYet = None
+    wnet: NotYet = None
+    rose: NotYet = None
+
+    @model_validator(mode="after")
+    def _distinct_processes(self) -> Self:
+        names = [process.name for process in self.processes]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"two processes are called '{twice[0]}'; give one another name:")
+        return self
+
+    def process(self, name: str) -> Process | None:
+        """The process of that name, or None."""
+        return next((process for process in self.processes if process.name == name), None)

@@ -1,0 +1,186 @@
+"""The radio block: which radios hear one another, with which words, as constants or as a measured trace over time."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, ValidationInfo, WithJsonSchema, model_validator
+
+from netlab.scenario.base import NotYet, Problems, StrictModel, not_yet
+from netlab.scenario.links import Ends
+from netlab.scenario.quantities import describe
+from netlab.scenario.words import Words, read_file
+
+TRACE_COLUMNS = ("at_s", "from", "to", "loss_percent", "delay_ms", "rate_mbit")
+_LATER_MODELS = ("free_space", "log_distance", "tunnel", "subt")
+_MOST_TRACE_PROBLEMS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class TraceRow:
+    """From ``at_s`` on, this is how ``sender`` reaches ``receiver``; None leaves the word as it was before.
+
+    ``loss_ratio`` 1 means out of range. ``line`` is the row's line in the file, for messages.
+    """
+
+    at_s: float
+    sender: str
+    receiver: str
+    loss_ratio: float | None
+    delay_s: float | None
+    rate_bps: float | None
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTrace:
+    """A measured trace: the file's name as the scenario gives it, and its rows by time."""
+
+    name: str
+    rows: tuple[TraceRow, ...]
+
+
+def parse_link_trace(name: str, text: str) -> LinkTrace:
+    """Read a CSV trace with the columns ``TRACE_COLUMNS``; lines that begin with # are comments, empty cells keep.
+
+    Raises:
+        Problems: One text per wrong line, with the file's name and the line.
+    """
+    problems: list[str] = []
+    rows: list[TraceRow] = []
+    header: list[str] | None = None
+    for number, cells in enumerate(csv.reader(io.StringIO(text)), start=1):
+        if not cells or cells[0].lstrip().startswith("#"):
+            continue
+        stripped = [cell.strip() for cell in cells]
+        if header is None:
+            header = stripped
+            if header != list(TRACE_COLUMNS):
+                raise Problems([f"{name}:{number}: the columns must be {','.join(TRACE_COLUMNS)}"])
+            continue
+        try:
+            rows.append(_trace_row(stripped, number))
+        except ValueError as error:
+            problems.append(f"{name}:{number}: {error}")
+    if header is None:
+        problems.append(f"{name}: the file is empty; it needs the columns {','.join(TRACE_COLUMNS)}")
+    if problems:
+        raise Problems(problems[:_MOST_TRACE_PROBLEMS])
+    return LinkTrace(name, tuple(sorted(rows, key=lambda row: row.at_s)))
+
+
+def _trace_row(cells: list[str], line: int) -> TraceRow:
+    if len(cells) != len(TRACE_COLUMNS):
+        raise ValueError(f"{len(cells)} cells; there must be {len(TRACE_COLUMNS)}")
+    at_s, sender, receiver, loss_percent, delay_ms, rate_mbit = cells
+    loss = _cell("loss_percent", loss_percent, 100.0)
+    delay = _cell("delay_ms", delay_ms)
+    rate = _cell("rate_mbit", rate_mbit)
+    at = _cell("at_s", at_s)
+    if at is None:
+        raise ValueError("at_s is empty; give the time in seconds")
+    if rate == 0:
+        raise ValueError("rate_mbit 0 is impossible; leave the cell empty, or give loss_percent 100 for out of range")
+    return TraceRow(
+        at_s=at,
+        sender=sender,
+        receiver=receiver,
+        loss_ratio=None if loss is None else loss / 100,
+        delay_s=None if delay is None else delay / 1e3,
+        rate_bps=None if rate is None else rate * 1e6,
+        line=line,
+    )
+
+
+def _cell(column: str, text: str, most: float = float("inf")) -> float | None:
+    if not text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{column} '{text}' is not a number; the column's name gives the unit") from None
+    if not 0 <= value <= most or value == float("inf"):
+        raise ValueError(f"{column} {text} is impossible; it must be {'0 or more' if most > 100 else '0 to 100'}")
+    return value
+
+
+def _link_trace(value: object, info: ValidationInfo) -> LinkTrace:
+    if not isinstance(value, str):
+        raise ValueError(f"expected the name of a CSV file, found {describe(value)}")
+    return parse_link_trace(value, read_file(info, value))
+
+
+class TablePair(Ends, Words):
+    """How two radios hear each other, or one the other; its words win over the radio's."""
+
+
+class TableDefault(Words):
+    """Words of the pairs that a table does not name."""
+
+
+def _table_default(value: object) -> object:
+    if isinstance(value, str) and value != "out_of_range":
+        raise ValueError(f"'{value}' is not possible here; write out_of_range or a block of link words")
+    return None if value == "out_of_range" else value
+
+
+class Propagation(StrictModel):
+    """Who hears whom. `none`: everyone hears everyone. `table`: the pairs named, others by ``default``.
+
+    ``default`` None means out of range.
+    """
+
+    model: Annotated[
+        Literal["none", "table"],
+        BeforeValidator(lambda value: not_yet(value, ("none", "table"), _LATER_MODELS, "propagation model")),
+    ]
+    pairs: tuple[TablePair, ...] = ()
+    default: Annotated[
+        TableDefault | None,
+        BeforeValidator(_table_default),
+        WithJsonSchema({"anyOf": [{"const": "out_of_range"}, Words.model_json_schema()]}),
+    ] = None
+    file: Annotated[LinkTrace, BeforeValidator(_link_trace), WithJsonSchema({"type": "string"})] | None = None
+    corner_loss: NotYet = None
+    exponent: NotYet = None
+    path_loss: NotYet = None
+    range: NotYet = None
+
+    @model_validator(mode="after")
+    def _table_keys_with_table(self) -> Self:
+        keys = [key for key in ("pairs", "default", "file") if key in self.model_fields_set]
+        if self.model == "none" and keys:
+            raise ValueError(f"{keys[0]} belongs to model: table; with none everyone hears everyone")
+        return self
+
+
+class Radio(Words):
+    """The defaults of every radio. The words here hold for every pair that is in range."""
+
+    propagation: Propagation
+    phy: NotYet = None
+    frequency: NotYet = None
+    tx_power: NotYet = None
+    noise: NotYet = None
+    antenna_gain: NotYet = None
+
+    @model_validator(mode="after")
+    def _consistent_words(self) -> Self:
+        if complaint := self.inconsistency():
+            raise ValueError(complaint)
+        return self
+
+
+def node_radio(value: Any) -> object:
+    """Accept a node's `radio: none`; refuse what later versions will take.
+
+    Raises:
+        ValueError: Anything else.
+    """
+    if value == "none":
+        return value
+    what = "several radios in a node are" if isinstance(value, list) else "a node's own radio settings are"
+    raise ValueError(f"{what} not available yet; write none for a node without radio, or remove it")
