@@ -1,0 +1,122 @@
+"""Message bytes of one channel -> typed records. The counterpart of the encoders in :mod:`netlab.capture.schemas`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Protocol, cast
+
+from google.protobuf.descriptor_pb2 import FileDescriptorProto
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import Message
+from google.protobuf.message_factory import GetMessageClass
+from mcap.records import Channel
+
+from netlab.capture.records import JsonRecord, LogLine, PacketRecord, Record, VerdictRecord, kind_of
+from netlab.capture.schemas import Direction, LogLevel, packet_file, verdict_file
+from netlab.medium.verdicts import Verdict
+
+Decoder = Callable[[int, bytes], Record]
+"""(log time in ns, data) -> record; raises ValueError or DecodeError on damaged data."""
+
+
+class _Packet(Protocol):
+    frame_crc32: int
+    original_length: int
+    linktype: int
+    direction: int
+    node: str
+    interface: str
+    frame: bytes
+
+
+class _Verdict(Protocol):
+    sender_node: str
+    sender_interface: str
+    receiver_node: str
+    receiver_interface: str
+    verdict: int
+    departs_ns: int
+    length: int
+    crc32: int
+
+
+def decoder_for(channel: Channel, schema: str) -> Decoder | None:
+    """Return the decoder for a channel, None if its messages are not netlab's."""
+    match schema:
+        case "netlab.Packet":
+            return _packet_decoder()
+        case "netlab.Verdict":
+            return _verdict_decoder()
+        case "foxglove.Log":
+            return _log_decoder(channel.topic)
+    return _json_decoder(channel.topic) if channel.message_encoding == "json" else None
+
+
+def _packet_decoder() -> Decoder:
+    message = _message_class(packet_file())
+    direction = {member.value: member for member in Direction}
+
+    def decode(log_ns: int, data: bytes) -> PacketRecord:
+        packet = cast(_Packet, message.FromString(data))
+        return PacketRecord(
+            log_ns,
+            packet.node,
+            packet.interface,
+            direction.get(packet.direction, Direction.UNKNOWN),
+            packet.linktype,
+            packet.original_length,
+            packet.frame_crc32,
+            packet.frame,
+        )
+
+    return decode
+
+
+def _verdict_decoder() -> Decoder:
+    message = _message_class(verdict_file())
+
+    def decode(log_ns: int, data: bytes) -> VerdictRecord:
+        record = cast(_Verdict, message.FromString(data))
+        return VerdictRecord(
+            log_ns,
+            (record.sender_node, record.sender_interface),
+            (record.receiver_node, record.receiver_interface),
+            Verdict(record.verdict),
+            record.departs_ns,
+            record.length,
+            record.crc32,
+        )
+
+    return decode
+
+
+def _log_decoder(topic: str) -> Decoder:
+    from foxglove_schemas_protobuf.Log_pb2 import Log  # only readers of logs pay for its import
+
+    _, node, _, process = topic.split("/", 3) if topic.count("/") > 2 else ("", "", "", topic)
+
+    def decode(log_ns: int, data: bytes) -> LogLine:
+        entry = Log.FromString(data)
+        return LogLine(log_ns, node, process, LogLevel(entry.level), entry.message)
+
+    return decode
+
+
+def _json_decoder(topic: str) -> Decoder:
+    kind = kind_of(topic)
+    node = topic.split("/")[1] if topic.count("/") > 1 else ""
+
+    def decode(log_ns: int, data: bytes) -> JsonRecord:
+        payload = json.loads(data)
+        if not isinstance(payload, dict):
+            raise ValueError(f"{topic}: not a JSON object")
+        return JsonRecord(log_ns, kind, topic, node, payload)
+
+    return decode
+
+
+def _message_class(file: FileDescriptorProto) -> type[Message]:
+    pool = DescriptorPool()
+    pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(f"{file.package}.{file.message_type[0].name}"))
