@@ -99,6 +99,10 @@ def _generic(line: dict[str, Any]) -> PydanticCustomError:
         return custom(f"{value} is impossible; it must be {_bound(kind, context)}")
     if kind == "literal_error":
         return custom(f"{value} is not possible here; use {str(context['expected']).replace(chr(39), '')}")
+    if kind in ("too_short", "too_long"):
+        least_or_most = context.get("min_length") if kind == "too_short" else context.get("max_length")
+        word = "at least" if kind == "too_short" else "at most"
+        return custom(f"has {context['actual_length']} entries; give {word} {least_or_most}")
     if kind == "string_type":
         return custom(f"expected text, found {value}")
     return custom(f"{line['msg'][0].lower()}{line['msg'][1:]}, found {value}")

@@ -6,10 +6,12 @@ its parts.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from netlab.scenario.base import NodeName, NotYet, StrictModel, not_yet
 from netlab.scenario.events import Event
@@ -24,10 +26,19 @@ from netlab.scenario.traffic import ALL, Stream, Traffic
 ENGINES = ("auto", "air", "netem")
 
 
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. -]{0,99}")
+
+
+def _scenario_name(value: str) -> str:
+    if not _NAME.fullmatch(value):
+        raise ValueError(f"'{value}' cannot name files; use letters, digits and _ . - (at most 100 characters)")
+    return value
+
+
 class Scenario(StrictModel):
     """Everything that a scenario file says, with `generate` expanded."""
 
-    name: Annotated[str, Field(min_length=1, max_length=100)]
+    name: Annotated[str, AfterValidator(_scenario_name)]
     seed: Annotated[int, Field(ge=0, lt=2**64)] = 1
     duration_s: PositiveSeconds = Field(alias="duration")
     engine: Annotated[
@@ -61,11 +72,28 @@ class Scenario(StrictModel):
         """The wires that `links` makes, in the order of their first appearance."""
         return wires(self.links)
 
+    def joined(self, a: str, b: str) -> tuple[Literal["wire", "radio"], ...]:
+        """What joins two nodes directly: a wire, their radios (in range or not), both or nothing."""
+        media: list[Literal["wire", "radio"]] = []
+        if frozenset((a, b)) in self._wired:
+            media.append("wire")
+        if self.radio is not None and all(self.nodes[name].radio is None for name in (a, b)):
+            media.append("radio")
+        return tuple(media)
+
+    @cached_property
+    def _wired(self) -> frozenset[frozenset[str]]:
+        return frozenset(frozenset(link.ends) for link in self.links)
+
     def destinations(self, traffic: Traffic) -> tuple[str, ...]:
-        """Who gets a traffic entry's messages; `all` is every other node that runs udp_mesh."""
+        """Who gets a traffic entry's messages; `all` is every node joined to the source that runs udp_mesh."""
         if traffic.to != (ALL,):
             return traffic.to
-        return tuple(name for name, node in self.nodes.items() if name != traffic.from_ and node.process("udp_mesh"))
+        return tuple(
+            name
+            for name, node in self.nodes.items()
+            if name != traffic.from_ and node.process("udp_mesh") and self.joined(traffic.from_, name)
+        )
 
     def streams(self) -> tuple[Stream, ...]:
         """One stream per traffic entry and destination, numbered in the order of the file."""

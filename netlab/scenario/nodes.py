@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
@@ -9,7 +10,7 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchem
 from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
-from netlab.scenario.quantities import SIZE, PositiveSeconds
+from netlab.scenario.quantities import SIZE, PositiveSeconds, describe
 from netlab.scenario.radio import node_radio
 
 BUILTIN_PROCESSES = ("udp_mesh",)
@@ -122,10 +123,27 @@ def _as_text(value: object) -> object:
     return str(value) if isinstance(value, (int, float)) else value
 
 
+def _position(value: object) -> tuple[float, ...]:
+    """Read `[x, y]` or `[x, y, z]` in metres."""
+    if not isinstance(value, (list, tuple)) or len(value) not in (2, 3):
+        raise ValueError(f"expected [x, y] or [x, y, z] in metres, found {describe(value)}")
+    for part in value:
+        if isinstance(part, bool) or not isinstance(part, (int, float)) or not math.isfinite(part):
+            raise ValueError(f"expected numbers (metres), found {describe(part)}")
+    return tuple(float(part) for part in value)
+
+
+Position = Annotated[
+    tuple[float, ...],
+    BeforeValidator(_position),
+    WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}),
+]
+
+
 class Node(StrictModel):
     """A robot, a relay or a base: where it stands and what runs in it. ``position`` is x, y and perhaps z in metres."""
 
-    position: Annotated[tuple[float, ...], Field(min_length=2, max_length=3)] = (0.0, 0.0)
+    position: Position = (0.0, 0.0)
     processes: tuple[Process, ...] = ()
     udp_mesh: MeshSettings | None = None
     radio: Annotated[Literal["none"], BeforeValidator(node_radio), WithJsonSchema({"const": "none"})] | None = None
