@@ -177,6 +177,12 @@ def add_filter(
     return _encode(ifindex, RTM_NEWTFILTER, kind, options, parent=_CLSACT_INGRESS, info=info)
 
 
+def add_empty_filter(ifindex: int, priority: int, kind: str) -> bytes:
+    """A filter that says nothing, to learn from the refusal whether the kernel knows its kind."""
+    info = socket.htons(_ETH_P_ALL) | priority << 16
+    return _encode(ifindex, RTM_NEWTFILTER, kind, None, parent=_CLSACT_INGRESS, info=info)
+
+
 def encode_netem(ifindex: int, impairment: Impairment, *, seed: int, replace_table: bool, flags: int) -> bytes:
     """The same by plain pyroute2: ``add_netem`` and ``change_netem`` fill a template of it."""
     options = netem_options(impairment, seed=seed, replace_table=replace_table)
