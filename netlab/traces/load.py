@@ -1,0 +1,175 @@
+"""From a capture's records to a :class:`Trace`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from netlab.capture.decoders import mesh_of, traffic_of, udp_of
+from netlab.capture.reader import Capture
+from netlab.capture.records import JsonRecord, Kind, PacketRecord, VerdictRecord
+from netlab.capture.schemas import Direction
+from netlab.errors import CaptureError
+from netlab.traces.model import (
+    EVERYBODY,
+    Delivery,
+    Fragment,
+    LinkCounts,
+    Presence,
+    Published,
+    Remark,
+    Step,
+    Stream,
+    Trace,
+    Window,
+)
+from udp_mesh.core.wire import tag_of
+
+_KINDS = frozenset(Kind) - {Kind.LOG, Kind.LINKS}
+
+
+def load_trace(path: Path | str) -> Trace:
+    """Read all that the questions need.
+
+    Raises:
+        CaptureError: The file is no capture, or its metadata is damaged.
+    """
+    with Capture.open(path) as capture:
+        loader = _Loader(capture)
+        for record in capture.records(_KINDS):
+            if isinstance(record, PacketRecord):
+                loader.packet(record)
+            elif isinstance(record, VerdictRecord):
+                loader.verdict(record)
+            elif isinstance(record, JsonRecord):
+                loader.json(record)
+        return loader.finish(list(capture.notes))
+
+
+class _Loader:
+    def __init__(self, capture: Capture) -> None:
+        self._trace = Trace(path=str(capture.path), t0_ns=capture.t0_ns)
+        self._nodes: dict[int, str] = {}  # an epoch's tag -> the node that sends with it
+        self._tags: list[int] = []  # destination tag per fragment, in the order of loading
+        self._fragments: list[Fragment] = []
+        self._messages: dict[tuple[str, int, int], tuple[int, int]] = {}
+        self._take: dict[Kind, Callable[[JsonRecord], None]] = {
+            Kind.TIMELINE: self._step,
+            Kind.PUBLISHED: self._published,
+            Kind.RECEIVED: self._received,
+            Kind.EVENT: self._event,
+        }
+        try:
+            self._describe(capture)
+        except (ValueError, KeyError, TypeError) as error:
+            raise CaptureError(f"{capture.path}: metadata of the run is damaged: {error!r}") from None
+
+    def _describe(self, capture: Capture) -> None:
+        metadata, trace = capture.metadata, self._trace
+        end_s = trace.seconds(capture.end_ns)
+        trace.duration_s = float(metadata.get("duration_s", end_s))
+        trace.streams = tuple(
+            Stream(
+                int(item["stream"]),
+                item["source"],
+                item["destination"],
+                item["topic"],
+                int(item["priority"]),
+                item.get("keep") == "latest",
+            )
+            for item in json.loads(metadata.get("streams", "[]"))
+        )
+        for port in json.loads(metadata.get("ports", "[]")):
+            if port.get("rate_bps"):
+                trace.rates_bps[port["node"], port["interface"]] = float(port["rate_bps"])
+        for stream in trace.streams:
+            trace.published[stream.index], trace.delivered[stream.index] = [], []
+
+    def json(self, record: JsonRecord) -> None:
+        self._take[record.kind](record)
+
+    def packet(self, record: PacketRecord) -> None:
+        if record.direction is not Direction.OUTBOUND:
+            return
+        datagram = udp_of(record.frame, record.linktype)
+        mesh = mesh_of(datagram) if datagram else None
+        if mesh is None:
+            return
+        self._nodes[tag_of(mesh.epoch)] = record.node
+        for piece in mesh.fragments:
+            key = (record.node, mesh.epoch, piece.message_id)
+            if piece.topic is not None and (header := traffic_of(piece.payload)):
+                self._messages[key] = (header.stream, header.seq)
+            self._tags.append(0 if mesh.is_broadcast else mesh.destination_tag)
+            self._fragments.append(
+                Fragment(
+                    record.t_ns,
+                    (record.node, record.interface),
+                    mesh.epoch,
+                    piece.message_id,
+                    piece.fragment_index,
+                    piece.fragment_count,
+                    piece.priority,
+                    EVERYBODY if mesh.is_broadcast else "",
+                    record.original_length,
+                )
+            )
+
+    def verdict(self, record: VerdictRecord) -> None:
+        counts = self._trace.links.setdefault((record.sender, record.receiver), LinkCounts())
+        counts.frames += 1
+        counts.size_bytes += record.length
+        counts.verdicts[record.verdict] = counts.verdicts.get(record.verdict, 0) + 1
+
+    def finish(self, notes: list[str]) -> Trace:
+        trace = self._trace
+        for fragment, tag in zip(self._fragments, self._tags, strict=True):
+            message = self._messages.get((fragment.node, fragment.epoch, fragment.message_id))
+            destination = fragment.destination or self._nodes.get(tag, "")
+            whole = replace(fragment, destination=destination, message=message)
+            trace.fragments.setdefault(fragment.node, []).append(whole)
+        trace.notes = notes
+        return trace
+
+    def _step(self, record: JsonRecord) -> None:
+        restores = record.payload.get("restores")
+        pair = (str(restores[0]), str(restores[1])) if isinstance(restores, list) and len(restores) == 2 else None
+        at_s = record.payload.get("at_s")
+        planned_s = float(at_s) if isinstance(at_s, int | float) else self._trace.seconds(record.t_ns)
+        self._trace.timeline.append(Step(record.t_ns, planned_s, record.text("label"), record.text("kind"), pair))
+
+    def _published(self, record: JsonRecord) -> None:
+        stream = record.number("stream")
+        publication = record.number("publication") if "publication" in record.payload else stream
+        accepted = record.payload.get("accepted", True) is True
+        reason = record.text("reason") or None
+        size_bytes, seq = record.number("size_bytes"), record.number("seq")
+        entry = Published(stream, publication, seq, record.t_ns, size_bytes, accepted, reason)
+        self._trace.published.setdefault(stream, []).append(entry)
+
+    def _received(self, record: JsonRecord) -> None:
+        stream, seq, published_ns = record.number("stream"), record.number("seq"), record.number("published_ns")
+        entry = Delivery(stream, seq, published_ns, record.t_ns, record.number("size_bytes"))
+        self._trace.delivered.setdefault(stream, []).append(entry)
+
+    def _event(self, record: JsonRecord) -> None:
+        trace, pair = self._trace, (record.node, record.text("peer"))
+        match record.text("event"):
+            case "peer_up" | "peer_down" as change:
+                presence = trace.presence.setdefault(pair, Presence())
+                presence.t_ns.append(record.t_ns)
+                presence.online.append(change == "peer_up")
+                self._remark(record, f"{pair[1]} {change[5:]} ({record.text('reason')})")
+            case "window":
+                window = Window(record.t_ns, record.number("cwnd_bytes"), record.number("in_flight_bytes"))
+                trace.windows.setdefault(pair, []).append(window)
+            case "message_dropped":
+                key = (record.node, record.number("message_id"))
+                trace.dropped_ns.setdefault(key, []).append(record.t_ns)
+                text = f"dropped message {key[1]} of {record.text('topic')} to {pair[1]} ({record.text('reason')})"
+                self._remark(record, text)
+
+    def _remark(self, record: JsonRecord, text: str) -> None:
+        self._trace.remarks.append(Remark(record.t_ns, record.node, text))

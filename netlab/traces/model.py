@@ -1,0 +1,179 @@
+"""A run as its capture shows it: publications, deliveries, fragments on the senders' interfaces, what happened when.
+
+Values only. All ``t_ns`` are CLOCK_REALTIME; :meth:`Trace.seconds` makes scenario time of them.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+
+from netlab.medium.verdicts import Verdict
+
+NS_PER_S = 1_000_000_000
+EVERYBODY = "all"
+Interface = tuple[str, str]  # node, interface
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One traffic entry to one destination; lower ``priority`` is more urgent.
+
+    ``keeps_latest``: the newest message is kept while the destination is away.
+    """
+
+    index: int
+    source: str
+    destination: str
+    topic: str
+    priority: int
+    keeps_latest: bool = False
+
+    def __str__(self) -> str:
+        """Name it for a person."""
+        return f"{self.topic} {self.source}->{self.destination}"
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """One publish call. ``publication`` numbers the act: one publish to all makes a message of several streams."""
+
+    stream: int
+    publication: int
+    seq: int
+    t_ns: int
+    size_bytes: int
+    accepted: bool = True
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """One receipt by the subscribing process."""
+
+    stream: int
+    seq: int
+    published_ns: int
+    t_ns: int
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Fragment:
+    """One data fragment on an interface of its sender.
+
+    ``destination`` is a node, ``all`` for a broadcast, empty if nothing tells. ``message`` is (publication, seq) for
+    messages of netlab's own traffic, else None.
+    """
+
+    t_ns: int
+    interface: Interface
+    epoch: int
+    message_id: int
+    index: int
+    count: int
+    priority: int
+    destination: str
+    frame_bytes: int
+    message: tuple[int, int] | None = None
+
+    @property
+    def node(self) -> str:
+        """The sender."""
+        return self.interface[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of the timeline. ``restores`` names the two nodes that can hear each other again."""
+
+    t_ns: int
+    at_s: float
+    label: str
+    kind: str
+    restores: tuple[str, str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A flow's state as its sender's daemon reported it."""
+
+    t_ns: int
+    cwnd_bytes: float
+    in_flight_bytes: float
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """Something worth a line beside a failure: peers that come and go, dropped messages."""
+
+    t_ns: int
+    node: str
+    text: str
+
+
+@dataclass(slots=True)
+class LinkCounts:
+    """What became of the frames of one directed pair of interfaces."""
+
+    frames: int = 0
+    size_bytes: int = 0
+    verdicts: dict[Verdict, int] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Presence:
+    """When one node held one peer online: alternating changes in the order of time."""
+
+    t_ns: list[int] = field(default_factory=list)
+    online: list[bool] = field(default_factory=list)
+
+    def at(self, t_ns: int) -> bool:
+        """Whether the peer was online; not before the first change."""
+        index = bisect_right(self.t_ns, t_ns)
+        return index > 0 and self.online[index - 1]
+
+
+@dataclass(slots=True)
+class Trace:
+    """Everything the questions are asked of. Lists are in the order of time.
+
+    Attributes:
+        path: The capture, for messages to people.
+        t0_ns: Scenario time zero.
+        duration_s: Scenario time in which traffic was published.
+        published: By stream.
+        delivered: By stream.
+        fragments: By sending node.
+        presence: By (node, peer); empty when no daemon reported peers.
+        windows: By (node, peer).
+        rates_bps: Rate of the slowest link that starts at an interface; missing means unlimited.
+        dropped_ns: When a node gave a message up, by (node, message id).
+        links: By (sender, receiver).
+        notes: What is wrong with the capture.
+    """
+
+    path: str = ""
+    t0_ns: int = 0
+    duration_s: float = 0.0
+    streams: tuple[Stream, ...] = ()
+    published: dict[int, list[Published]] = field(default_factory=dict)
+    delivered: dict[int, list[Delivery]] = field(default_factory=dict)
+    fragments: dict[str, list[Fragment]] = field(default_factory=dict)
+    timeline: list[Step] = field(default_factory=list)
+    presence: dict[tuple[str, str], Presence] = field(default_factory=dict)
+    windows: dict[tuple[str, str], list[Window]] = field(default_factory=dict)
+    rates_bps: dict[Interface, float] = field(default_factory=dict)
+    dropped_ns: dict[tuple[str, int], list[int]] = field(default_factory=dict)
+    links: dict[tuple[Interface, Interface], LinkCounts] = field(default_factory=dict)
+    remarks: list[Remark] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def seconds(self, t_ns: int) -> float:
+        """Scenario time."""
+        return (t_ns - self.t0_ns) / NS_PER_S
+
+    @property
+    def end_ns(self) -> int:
+        """When the duration was over."""
+        return self.t0_ns + round(self.duration_s * NS_PER_S)

@@ -1,0 +1,57 @@
+"""The figures of a run as plain JSON values: the parts of ``--json`` that come from the capture."""
+
+from __future__ import annotations
+
+from netlab.medium.verdicts import Verdict
+from netlab.traces.model import LinkCounts, Trace
+from netlab.traces.reconnects import reconnects
+from netlab.traces.streams import StreamReport, stream_reports
+
+_DROPPED = (Verdict.LOST, Verdict.QUEUE_FULL, Verdict.OUTAGE, Verdict.OUT_OF_RANGE)
+
+
+def summary(trace: Trace) -> dict[str, list[dict[str, object]]]:
+    """Return ``streams``, ``reconnects`` and ``links``. Times in scenario seconds."""
+    return {
+        "streams": [_stream(report) for report in stream_reports(trace)],
+        "reconnects": [
+            {
+                "between": list(entry.between),
+                "restored_at_s": entry.restored_at_s,
+                "first_delivery_s": entry.first_delivery_s,
+                "delay_s": entry.delay_s,
+            }
+            for entry in reconnects(trace)
+        ],
+        "links": [
+            {"from": f"{sender[0]}/{sender[1]}", "to": f"{receiver[0]}/{receiver[1]}", **_link(counts)}
+            for (sender, receiver), counts in sorted(trace.links.items())
+        ],
+    }
+
+
+def _stream(report: StreamReport) -> dict[str, object]:
+    latency = report.latency
+    return {
+        "source": report.stream.source,
+        "destination": report.stream.destination,
+        "topic": report.stream.topic,
+        "priority": report.stream.priority,
+        "sent": report.sent,
+        "delivered": report.delivered,
+        "duplicates": report.duplicates,
+        "latency_s": {name: getattr(latency, name) if latency else None for name in ("p50", "p90", "p99", "max")},
+        "goodput_bps": report.goodput_bps,
+        "longest_gap_s": report.longest_gap_s,
+    }
+
+
+def _link(counts: LinkCounts) -> dict[str, object]:
+    """Extra copies that the medium made are no frames of the sender: they do not count as frames."""
+    frames = counts.frames - counts.verdicts.get(Verdict.DUPLICATED, 0)
+    dropped = sum(counts.verdicts.get(verdict, 0) for verdict in _DROPPED)
+    return {
+        "frames": frames,
+        "loss_ratio": dropped / frames if frames else 0.0,
+        **{verdict.name.lower(): counts.verdicts.get(verdict, 0) for verdict in Verdict},
+    }
