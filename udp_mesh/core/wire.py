@@ -1,6 +1,6 @@
 """Bytes on the wire: the only module that knows the layout (docs/wire.md) and the only user of ``struct`` in the core.
 
-Decoding never raises: a datagram is understood as a whole or dropped, with a reason. It knows nothing of peers or state.
+Decoding never raises: a datagram is understood as a whole or dropped, with a reason. Nothing of peers or state here.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 MAGIC = b"uM"
 VERSION = 1
-FLAG_BROADCAST = 0x01
+FLAG_UNNUMBERED = 0x01
 FLAG_ACK_NOW = 0x02
-_KNOWN_FLAGS = FLAG_BROADCAST | FLAG_ACK_NOW
+_KNOWN_FLAGS = FLAG_UNNUMBERED | FLAG_ACK_NOW
 _HEADER = struct.Struct("!2sBBQIHI")  # magic, version, flags, sender epoch, destination tag, packet number (48 bits)
 _DATA = struct.Struct(
     "!BBBHHIHH"
@@ -24,8 +24,8 @@ _ACK_RANGE = struct.Struct("!HH")  # gap, length
 _HELLO = struct.Struct("!BHHIBB")  # type, beacon interval ms, floor (48 bits), tags, length of the name
 _PROBE = struct.Struct("!BB")  # type, tags
 _TAG = struct.Struct("!I")
-_FLOOR = struct.Struct("!BHI")  # type, message id (48 bits)
-_TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR = range(1, 7)
+_MESSAGE = struct.Struct("!BHI")  # type (FLOOR or PURGED), message id (48 bits)
+_TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_PURGED = range(1, 8)
 
 HEADER_BYTES = _HEADER.size
 DATA_BYTES = _DATA.size
@@ -65,7 +65,7 @@ class Ack(NamedTuple):
     """What the sender of this frame has received.
 
     ``ranges`` are inclusive (first, last) packet numbers, newest first. ``received_us`` is when ``ranges[0][1]``
-    arrived, on the acknowledging node's own clock modulo 2**32 microseconds; ``delay_us`` how long the frame waited since.
+    arrived, on the acknowledging node's own clock modulo 2**32 microseconds; ``delay_us`` how long the frame waited.
     """
 
     ranges: tuple[tuple[int, int], ...]
@@ -91,25 +91,32 @@ class Dissection(NamedTuple):
     """One datagram, decoded.
 
     ``destination_tag`` is the low half of the addressee's epoch, 0 in a broadcast. ``probes`` are the tags of nodes
-    that the sender is looking for. ``floors``: every message below this id is settled.
+    that the sender is looking for. ``floors``: every message below this id is settled. ``purged``: messages of which
+    the sender has forgotten what it had.
     """
 
     epoch: int
     destination_tag: int
     packet_number: int
-    is_broadcast: bool
+    is_unnumbered: bool
     ack_now: bool
     fragments: tuple[DataFragment, ...]
     acks: tuple[Ack, ...]
     beacons: tuple[Hello, ...]
     probes: tuple[int, ...]
     floors: tuple[int, ...]
+    purged: tuple[int, ...]
     pings: int
+
+    @property
+    def is_broadcast(self) -> bool:
+        """Whether it is meant for everybody on the carrier."""
+        return self.is_unnumbered and self.destination_tag == 0
 
     @property
     def is_ack_eliciting(self) -> bool:
         """Whether the receiver acknowledges this packet: a unicast with data or a ping."""
-        return not self.is_broadcast and bool(self.fragments or self.pings)
+        return not self.is_unnumbered and bool(self.fragments or self.pings)
 
 
 class _DecodeError(Exception):
@@ -151,7 +158,7 @@ def encode_ack(ranges: Sequence[tuple[int, int]], *, received_us: int, delay_us:
     first, largest = ranges[0]
     length = min(largest - first, 0xFFFF)
     lowest = largest - length
-    parts = []
+    parts: list[bytes] = []
     limit = min(255, (room_bytes - _ACK.size) // _ACK_RANGE.size)
     for start, end in ranges[1:]:
         gap = lowest - end - 2
@@ -187,7 +194,12 @@ def encode_probe(tags: Sequence[int]) -> bytes:
 
 def encode_floor(message_id: int) -> bytes:
     """Return a frame that says: every message below ``message_id`` is settled, expect no more of them."""
-    return _FLOOR.pack(_TYPE_FLOOR, message_id >> 32, message_id & _LOW_32)
+    return _MESSAGE.pack(_TYPE_FLOOR, message_id >> 32, message_id & _LOW_32)
+
+
+def encode_purged(message_id: int) -> bytes:
+    """Return a frame that says: what I had of this message is gone, also what I had acknowledged."""
+    return _MESSAGE.pack(_TYPE_PURGED, message_id >> 32, message_id & _LOW_32)
 
 
 def dissect(datagram: _Buffer) -> Dissection | None:
@@ -220,13 +232,14 @@ def decode(datagram: _Buffer) -> Dissection | BadDatagram:
         epoch,
         tag,
         number_high << 32 | number_low,
-        bool(flags & FLAG_BROADCAST),
+        bool(flags & FLAG_UNNUMBERED),
         bool(flags & FLAG_ACK_NOW),
         tuple(frames.fragments),
         tuple(frames.acks),
         tuple(frames.beacons),
         tuple(frames.probes),
         tuple(frames.floors),
+        tuple(frames.purged),
         frames.pings,
     )
 
@@ -234,7 +247,7 @@ def decode(datagram: _Buffer) -> Dissection | BadDatagram:
 class _Frames:
     """Collects the frames of one datagram; raises ``_DecodeError``, ``struct.error`` or ``UnicodeDecodeError``."""
 
-    __slots__ = ("acks", "beacons", "floors", "fragments", "pings", "probes")
+    __slots__ = ("acks", "beacons", "floors", "fragments", "pings", "probes", "purged")
 
     def __init__(self) -> None:
         self.fragments: list[DataFragment] = []
@@ -242,6 +255,7 @@ class _Frames:
         self.beacons: list[Hello] = []
         self.probes: list[int] = []
         self.floors: list[int] = []
+        self.purged: list[int] = []
         self.pings = 0
 
     def decode(self, view: memoryview) -> None:
@@ -260,14 +274,15 @@ class _Frames:
                 self.probes.extend(tags)
             elif kind == _TYPE_PING:
                 self.pings, at = self.pings + 1, at + 1
-            elif kind == _TYPE_FLOOR:
-                _kind, high, low = _FLOOR.unpack_from(view, at)
-                self.floors.append(high << 32 | low)
-                at += _FLOOR.size
+            elif kind in (_TYPE_FLOOR, _TYPE_PURGED):
+                _kind, high, low = _MESSAGE.unpack_from(view, at)
+                (self.floors if kind == _TYPE_FLOOR else self.purged).append(high << 32 | low)
+                at += _MESSAGE.size
             else:
                 raise _DecodeError(BadDatagram.FRAME)
 
     def _data(self, view: memoryview, at: int) -> int:
+        length: int
         _kind, flags, priority, length, id_high, id_low, index, count = _DATA.unpack_from(view, at)
         at += DATA_BYTES
         end = at + length
@@ -301,6 +316,7 @@ class _Frames:
         return at
 
     def _hello(self, view: memoryview, at: int) -> int:
+        name_bytes: int
         _kind, interval_ms, high, low, tag_count, name_bytes = _HELLO.unpack_from(view, at)
         heard, at = _tags(view, at + _HELLO.size, tag_count)
         end = at + name_bytes

@@ -1,0 +1,68 @@
+"""The receiving side of packet numbers: duplicates, and when and what to acknowledge."""
+
+from __future__ import annotations
+
+from udp_mesh.core import wire
+from udp_mesh.core.rangeset import RangeSet
+
+MAX_ACK_DELAY_S = 0.004
+PACKETS_PER_ACK = 2
+REPORTED_RANGES = 32
+_REMEMBERED_RANGES = 256
+
+
+class AckTracker:
+    """Packets received from one peer's epoch."""
+
+    __slots__ = ("_due_at_s", "_highest_at_s", "_numbers", "_pending")
+
+    def __init__(self) -> None:
+        self._numbers = RangeSet(max_ranges=_REMEMBERED_RANGES)
+        self._highest_at_s = 0.0
+        self._pending = 0
+        self._due_at_s: float | None = None
+
+    def is_duplicate(self, packet_number: int) -> bool:
+        """Whether this packet was received before (or is so old that it is treated so)."""
+        return packet_number in self._numbers
+
+    def record(self, packet_number: int, *, is_ack_eliciting: bool, ack_now: bool, now: float) -> None:
+        """Remember a packet. Out of order, asked for, or every second one: acknowledged at once, else within 4 ms."""
+        highest = self._numbers.highest
+        self._numbers.add(packet_number)
+        if packet_number > highest:
+            self._highest_at_s = now
+        if not is_ack_eliciting:
+            return
+        self._pending += 1
+        if ack_now or packet_number != highest + 1 or self._pending >= PACKETS_PER_ACK:
+            self._due_at_s = now
+        elif self._due_at_s is None:
+            self._due_at_s = now + MAX_ACK_DELAY_S
+
+    def repeat(self, *, now: float) -> None:
+        """Acknowledge at once what is known already: a duplicate may mean that the acknowledgement was lost."""
+        if self._numbers:
+            self._pending += 1
+            self._due_at_s = now
+
+    @property
+    def has_pending(self) -> bool:
+        """Whether something was received that no acknowledgement covers."""
+        return self._pending > 0
+
+    @property
+    def due_at_s(self) -> float | None:
+        """When the next acknowledgement has to leave."""
+        return self._due_at_s
+
+    def take(self, *, room_bytes: int, now: float) -> bytes:
+        """Return the frame that acknowledges everything received, and count it as sent."""
+        self._pending = 0
+        self._due_at_s = None
+        return wire.encode_ack(
+            self._numbers.newest(REPORTED_RANGES),
+            received_us=int(self._highest_at_s * 1e6),
+            delay_us=int((now - self._highest_at_s) * 1e6),
+            room_bytes=room_bytes,
+        )

@@ -1,0 +1,73 @@
+"""How much may be in flight to a peer, and how fast it may leave: the interface and the fixed window of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from udp_mesh.core.rtt import RttEstimator
+
+
+@dataclass(frozen=True, slots=True)
+class AckSample:
+    """What one acknowledgement says about a path. ``one_way_s`` is meaningful up to a constant, None without a sample.
+
+    ``is_limited``: the window, not the application, held the sender back. ``lost_packets``: found lost with it.
+    """
+
+    acked_bytes: int
+    acked_packets: int
+    lost_packets: int
+    one_way_s: float | None
+    rate_bps: float
+    is_limited: bool
+
+
+class CongestionControl(Protocol):
+    """Decides the window of one peer."""
+
+    @property
+    def cwnd_bytes(self) -> int:
+        """Bytes that may be in flight."""
+
+    @property
+    def pacing_rate_bps(self) -> float | None:
+        """How fast they may leave; None is unpaced."""
+
+    @property
+    def urgent_packets(self) -> int:
+        """Packets that may exceed the window and the pace, if no more than this many as urgent are in flight."""
+
+    @property
+    def queue_delay_s(self) -> float:
+        """Estimated queueing delay on the forward path."""
+
+    @property
+    def rate_bps(self) -> float:
+        """Estimated rate at which the path delivers; 0 before the first sample."""
+
+    def on_ack(self, sample: AckSample, *, rtt: RttEstimator, now: float) -> None:
+        """Take an acknowledgement's sample."""
+
+    def on_return(self, *, now: float) -> None:
+        """The peer is back: delays measured before may no longer hold, the rate is still the best guess."""
+
+
+class FixedWindow:
+    """``packets`` in flight whatever happens: what the udp_mesh paper does with 3 (section IV.C.3)."""
+
+    urgent_packets = 0
+    pacing_rate_bps: float | None = None
+    queue_delay_s = 0.0
+
+    def __init__(self, packets: int, *, datagram_bytes: int) -> None:
+        self.cwnd_bytes = packets * datagram_bytes
+        self.rate_bps = 0.0
+
+    def on_ack(self, sample: AckSample, *, rtt: RttEstimator, now: float) -> None:
+        """Only the rate estimate moves."""
+        if sample.rate_bps:
+            self.rate_bps += 0.125 * (sample.rate_bps - self.rate_bps)
+
+    def on_return(self, *, now: float) -> None:
+        """Nothing depends on the path."""

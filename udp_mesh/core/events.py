@@ -1,0 +1,205 @@
+"""What a core tells its owner: deliveries, the fate of messages, peers that come and go. Values only.
+
+``now`` is the core's monotonic time in seconds. ``peer`` is a node's name, ``all`` for a broadcast.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class DropReason(StrEnum):
+    """Why a message ended without a confirmed delivery."""
+
+    QUEUE_FULL = "queue_full"
+    SUPERSEDED = "superseded"
+    EXPIRED = "expired"
+    LOST = "lost"
+    PEER_OFFLINE = "peer_offline"
+    PEER_RESTARTED = "peer_restarted"
+    PURGED = "purged"
+
+
+class RefusalReason(StrEnum):
+    """Why a message was not taken at all."""
+
+    PEER_OFFLINE = "peer_offline"
+    UNKNOWN_PEER = "unknown_peer"
+    OWN_NAME = "own_name"
+    TOO_LARGE = "too_large"
+    BAD_TOPIC = "bad_topic"
+    BAD_POLICY = "bad_policy"
+    QUEUE_FULL = "queue_full"
+
+
+class PeerUpReason(StrEnum):
+    """How a peer came to be online."""
+
+    DISCOVERED = "discovered"
+    RETURNED = "returned"
+    RESTARTED = "restarted"
+
+
+class PeerDownReason(StrEnum):
+    """Why a peer is held offline."""
+
+    SILENT = "silent"
+    BEACONS_MISSED = "beacons_missed"
+
+
+@dataclass(frozen=True, slots=True)
+class MessageQueued:
+    """A published message waits for its turn; one event per destination."""
+
+    now: float
+    message_id: int
+    topic: str
+    priority: int
+    size_bytes: int
+    fragment_count: int
+    peer: str
+
+
+@dataclass(frozen=True, slots=True)
+class FragmentSent:
+    """A fragment was handed out for sending; only while ``Settings.trace_fragments``."""
+
+    now: float
+    message_id: int
+    priority: int
+    fragment_index: int
+    packet_number: int
+    peer: str
+
+
+@dataclass(frozen=True, slots=True)
+class FragmentRetransmitted:
+    """A fragment was handed out for sending again."""
+
+    now: float
+    message_id: int
+    priority: int
+    fragment_index: int
+    packet_number: int
+    peer: str
+
+
+@dataclass(frozen=True, slots=True)
+class MessageAcked:
+    """The peer has received the whole message. ``latency_s``: since it was published."""
+
+    now: float
+    message_id: int
+    topic: str
+    priority: int
+    peer: str
+    latency_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class MessageDelivered:
+    """A whole message from ``source`` for the applications of this node, once per message id and epoch."""
+
+    now: float
+    message_id: int
+    topic: str
+    priority: int
+    source: str
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class MessageDropped:
+    """A message of this node ended without a confirmed delivery to ``peer``."""
+
+    now: float
+    message_id: int
+    topic: str
+    priority: int
+    size_bytes: int
+    peer: str
+    reason: DropReason
+
+
+@dataclass(frozen=True, slots=True)
+class PartialPurged:
+    """What had arrived of a message was forgotten. ``is_settled``: its sender gave it up first."""
+
+    now: float
+    message_id: int
+    source: str
+    fragments_received: int
+    fragment_count: int
+    is_settled: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PeerUp:
+    """A peer is online."""
+
+    now: float
+    peer: str
+    epoch: int
+    address: str
+    reason: PeerUpReason
+
+
+@dataclass(frozen=True, slots=True)
+class PeerDown:
+    """A peer is offline."""
+
+    now: float
+    peer: str
+    epoch: int
+    reason: PeerDownReason
+
+
+@dataclass(frozen=True, slots=True)
+class PathChanged:
+    """Datagrams to a peer leave by another carrier or to another address from now on."""
+
+    now: float
+    peer: str
+    carrier_from: int
+    address_from: str
+    carrier_to: int
+    address_to: str
+
+
+@dataclass(frozen=True, slots=True)
+class NameConflict:
+    """Another node uses a name that is taken: this node's own, or a peer's whose earlier holder still sends."""
+
+    now: float
+    peer: str
+    address: str
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """State of the flow to a peer, at most ten times a second. ``queue_delay_s``: estimate, forward path."""
+
+    now: float
+    peer: str
+    cwnd_bytes: int
+    in_flight_bytes: int
+    srtt_s: float
+    queue_delay_s: float
+    rate_bps: float
+
+
+Event = (
+    MessageQueued
+    | FragmentSent
+    | FragmentRetransmitted
+    | MessageAcked
+    | MessageDelivered
+    | MessageDropped
+    | PartialPurged
+    | PeerUp
+    | PeerDown
+    | PathChanged
+    | NameConflict
+    | Window
+)

@@ -1,0 +1,174 @@
+"""The protocol of one node, without clock or sockets: bytes and time in, bytes and events out.
+
+Its owner calls, in any order: :meth:`MeshCore.receive_datagram` for what arrives, :meth:`MeshCore.publish` for what the
+applications send, :meth:`MeshCore.handle_timer` when :meth:`MeshCore.next_timer` has passed; and after each of them
+:meth:`MeshCore.datagrams_to_send` and :meth:`MeshCore.next_event` until both are exhausted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+
+from udp_mesh.core.events import Event
+from udp_mesh.core.liveness import Liveness
+from udp_mesh.core.outbox import Outbox, Refused
+from udp_mesh.core.peer import Path, PeerStatus
+from udp_mesh.core.receive import Receiver
+from udp_mesh.core.settings import Settings, TopicPolicy
+from udp_mesh.core.state import NodeState
+from udp_mesh.core.transmit import Datagram, Transmitter
+
+__all__ = ["Datagram", "MeshCore", "Path", "PeerStatus", "Refused", "new_epoch"]
+
+HOUSEKEEPING_INTERVAL_S = 1.0
+
+
+def new_epoch(rng: Random) -> int:
+    """Return a random 64-bit epoch whose short form is not 0, which means a broadcast."""
+    return rng.getrandbits(32) << 32 | rng.randrange(1, 1 << 32)
+
+
+class MeshCore:
+    """One node's protocol. Every ``now`` is monotonic seconds of one clock, never decreasing."""
+
+    def __init__(self, settings: Settings, *, epoch: int, rng: Random, now: float) -> None:
+        self._state = NodeState(settings, epoch=epoch, rng=rng)
+        self._outbox = Outbox(self._state)
+        self._transmitter = Transmitter(self._state, self._outbox)
+        self._liveness = Liveness(self._state, self._outbox, self._transmitter, now=now)
+        self._receiver = Receiver(self._state, self._outbox, self._liveness)
+        self._housekeeping_at_s = now + HOUSEKEEPING_INTERVAL_S
+        self._now = now
+
+    @property
+    def epoch(self) -> int:
+        """This start of this node."""
+        return self._state.epoch
+
+    @property
+    def settings(self) -> Settings:
+        """The settings in force."""
+        return self._state.settings
+
+    def add_carrier(self, carrier: int) -> None:
+        """Broadcast on this carrier from now on; its beacon leaves with the next one due."""
+        self._state.carriers[carrier] = None
+
+    def remove_carrier(self, carrier: int) -> None:
+        """Stop using a carrier; peers behind it are heard elsewhere or fall silent."""
+        self._state.carriers.pop(carrier, None)
+
+    def receive_datagram(self, data: bytes | memoryview, path: Path, *, now: float) -> None:
+        """Take a datagram that came from ``path``. Bad ones are counted by reason; nothing is raised."""
+        self._now = now
+        self._receiver.datagram(data, path, now=now)
+
+    def datagrams_to_send(self, *, now: float) -> list[Datagram]:
+        """Return what has to leave now, in this order; call again until it is empty."""
+        self._now = now
+        return self._liveness.datagrams(now=now) + self._transmitter.datagrams(now=now)
+
+    def next_timer(self) -> float:
+        """Return when :meth:`handle_timer` has to be called at the latest; it may be in the past."""
+        times = [self._liveness.next_timer(now=self._now), self._housekeeping_at_s]
+        for time in (self._outbox.next_timer(), self._transmitter.next_timer(now=self._now)):
+            if time is not None:
+                times.append(time)
+        for peer in self._state.peers.values():
+            due_s = peer.session.recovery.next_timer() if peer.is_online else None
+            if due_s is not None:
+                times.append(due_s)
+        return min(times)
+
+    def handle_timer(self, *, now: float) -> None:
+        """Do what time demands: losses, probe timeouts, lifetimes, silent peers, stale partial messages."""
+        self._now = now
+        self._liveness.check(now=now)
+        self._outbox.expire(now=now)
+        for peer in self._state.peers.values():
+            self._receiver.recovery_timer(peer, now=now)
+        if now >= self._housekeeping_at_s:
+            self._housekeeping_at_s = now + HOUSEKEEPING_INTERVAL_S
+            for peer in self._state.peers.values():
+                purged = peer.session.reassembler.purge_stale(now=now, is_online=peer.is_online)
+                self._liveness.report_purged(peer, purged, is_settled=False, now=now)
+
+    def next_event(self) -> Event | None:
+        """Return the oldest event not yet returned, None if there is none."""
+        return self._state.events.popleft() if self._state.events else None
+
+    def publish(self, topic: str, payload: bytes, *, to: str, policy: TopicPolicy | None = None, now: float) -> int:
+        """Queue a message for the node named ``to``, or for ``all``; return its message id.
+
+        Args:
+            topic: 1..255 bytes of UTF-8.
+            payload: Opaque; at most 16 MiB. Not copied: do not change it afterwards.
+            to: A node's name, or ``all``.
+            policy: Overrides the topic's configured policy.
+            now: Monotonic seconds.
+
+        Raises:
+            Refused: It was not taken; ``reason`` says why.
+        """
+        self._now = now
+        try:
+            chosen = policy or self._state.settings.policy(topic)
+            return self._outbox.publish(topic, payload, to=to, policy=chosen, now=now)
+        except Refused as refusal:
+            self._state.counters[f"refused_{refusal.reason.value}"] += 1
+            raise
+
+    def peers(self, *, now: float) -> list[PeerStatus]:
+        """Return the state of every node ever heard in this epoch."""
+        return [
+            PeerStatus(
+                name=peer.name,
+                online=peer.is_online,
+                carrier=peer.path.carrier,
+                address=peer.path.address,
+                silent_for_s=now - peer.last_heard_s,
+                srtt_s=peer.session.rtt.srtt_s if peer.session.rtt.has_sample else None,
+                rate_bps=peer.congestion.rate_bps,
+                cwnd_bytes=peer.congestion.cwnd_bytes,
+                queue_delay_s=peer.congestion.queue_delay_s,
+                queued_messages=len(peer.lane.transfers),
+                queued_bytes=sum(t.message.size_bytes for t in peer.lane.transfers.values()),
+            )
+            for peer in self._state.peers.values()
+        ]
+
+    def stats(self) -> dict[str, int]:
+        """Return all counters since the start; drops and refusals by reason."""
+        counters = dict(self._state.counters)
+        counters["queued_bytes"] = self._outbox.queued_bytes
+        counters["reassembly_bytes"] = self._state.memory.reserved_bytes
+        sessions = [peer.session for peer in self._state.peers.values()]
+        counters["packets_lost"] = sum(session.recovery.lost_packets for session in sessions)
+        counters["spurious_losses"] = sum(session.recovery.spurious_losses for session in sessions)
+        return counters
+
+    def queue_depths(self) -> dict[str, int]:
+        """Return the messages waiting or in flight, by topic."""
+        return self._outbox.depths()
+
+    def reconfigure(self, settings: Settings, *, now: float) -> None:
+        """Use other settings from now on; messages that are queued keep their place and fragments.
+
+        Raises:
+            ValueError: The name would change; that takes a restart.
+        """
+        state = self._state
+        if settings.name != state.settings.name:
+            raise ValueError("a node's name cannot change while it runs; restart it")
+        window_changes = (settings.window, settings.payload_bytes) != (
+            state.settings.window,
+            state.settings.payload_bytes,
+        )
+        state.settings = replace(settings)
+        state.memory.limit_bytes = settings.reassembly_bytes
+        self._now = now
+        if window_changes:
+            for peer in state.peers.values():
+                peer.congestion = state.new_congestion(now=now)
+                peer.pacer.reset()

@@ -1,0 +1,182 @@
+"""Outgoing messages: how one buffer divides into fragments, and what has become of them at each destination."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable
+
+from udp_mesh.core import wire
+from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
+
+SortKey = tuple[int, float, int]
+_SENT, _ACKED, _WAITS_AGAIN = range(3)  # state of a fragment; one that was never sent counts as sent
+
+
+class Message:
+    """A published message. Fragments are ranges of ``payload``; nothing is copied before it is sent."""
+
+    __slots__ = (
+        "_rest_bytes",
+        "deadline_s",
+        "first_bytes",
+        "fragment_count",
+        "message_id",
+        "payload",
+        "policy",
+        "queued_at_s",
+        "size_bytes",
+        "topic",
+        "topic_bytes",
+    )
+
+    def __init__(
+        self, message_id: int, topic: str, payload: bytes, policy: TopicPolicy, *, datagram_bytes: int, now: float
+    ) -> None:
+        self.message_id = message_id
+        self.topic = topic
+        self.topic_bytes = topic.encode()
+        self.payload = memoryview(payload)
+        self.size_bytes = len(payload)
+        self.policy = policy
+        self.queued_at_s = now
+        self.deadline_s = None if policy.lifetime_s is None else now + policy.lifetime_s
+        self._rest_bytes = datagram_bytes - wire.HEADER_BYTES - wire.DATA_BYTES
+        self.first_bytes = self._rest_bytes - wire.first_fragment_overhead_bytes(self.topic_bytes)
+        beyond = max(0, self.size_bytes - self.first_bytes)
+        self.fragment_count = 1 + -(-beyond // self._rest_bytes)
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether lost fragments are sent again."""
+        return self.policy.reliability is Reliability.RELIABLE
+
+    @property
+    def keeps_latest(self) -> bool:
+        """Whether a newer message of the topic replaces this one."""
+        return self.policy.keep is Keep.LATEST
+
+    @property
+    def survives_offline(self) -> bool:
+        """Whether it waits, as the newest of its topic, for a peer that is offline."""
+        return self.policy.offline is Offline.LATEST
+
+    def fragment(self, index: int) -> tuple[bytes, memoryview]:
+        """Return the wire header and the payload of one fragment."""
+        start = 0 if index == 0 else self.first_bytes + (index - 1) * self._rest_bytes
+        end = min(self.size_bytes, self.first_bytes + index * self._rest_bytes)
+        header = wire.encode_data_header(
+            message_id=self.message_id,
+            priority=self.policy.priority,
+            index=index,
+            count=self.fragment_count,
+            payload_bytes=end - start,
+            topic=self.topic_bytes,
+        )
+        return header, self.payload[start:end]
+
+    def fragment_bytes(self, index: int) -> int:
+        """Return the length of a fragment on the wire, its header included."""
+        if index == 0:
+            overhead = wire.first_fragment_overhead_bytes(self.topic_bytes)
+            return wire.DATA_BYTES + overhead + min(self.size_bytes, self.first_bytes)
+        start = self.first_bytes + (index - 1) * self._rest_bytes
+        return wire.DATA_BYTES + min(self.size_bytes - start, self._rest_bytes)
+
+
+class Transfer:
+    """One message on its way to one destination. The destination ``all`` is never acknowledged."""
+
+    __slots__ = (
+        "_again",
+        "_last_number",
+        "_state",
+        "acked_count",
+        "is_done",
+        "is_queued",
+        "key",
+        "message",
+        "next_index",
+        "peer",
+    )
+
+    def __init__(self, message: Message, peer: str, key: SortKey) -> None:
+        self.message = message
+        self.peer = peer
+        self.key = key
+        self.next_index = 0
+        self.is_done = False
+        self.is_queued = False  # in the scheduler's heap
+        self.acked_count = 0
+        self._state = bytearray(message.fragment_count)
+        self._again: list[int] = []
+        self._last_number: dict[int, int] = {}  # of fragments sent more than once: their newest packet
+
+    def __lt__(self, other: Transfer) -> bool:
+        return self.key < other.key
+
+    @property
+    def is_started(self) -> bool:
+        """Whether any fragment has left."""
+        return self.next_index > 0
+
+    @property
+    def is_fully_sent(self) -> bool:
+        """Whether every fragment has left at least once."""
+        return self.next_index >= self.message.fragment_count
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every fragment is acknowledged."""
+        return self.acked_count == self.message.fragment_count
+
+    @property
+    def retransmits_next(self) -> bool:
+        """Whether the next fragment to leave has left before."""
+        return bool(self._again)
+
+    def peek(self) -> int | None:
+        """Return the fragment to send next: lost ones first, then in order; None if nothing waits."""
+        while self._again:
+            if self._state[self._again[0]] == _WAITS_AGAIN:
+                return self._again[0]
+            heapq.heappop(self._again)  # arrived meanwhile
+        return self.next_index if self.next_index < self.message.fragment_count else None
+
+    def advance(self, packet_number: int) -> None:
+        """Count the fragment of :meth:`peek` as sent in this packet."""
+        if self._again:
+            index = heapq.heappop(self._again)
+            self._state[index] = _SENT
+            self._last_number[index] = packet_number
+        else:
+            self.next_index += 1
+
+    def acknowledge(self, index: int) -> bool:
+        """Note that a fragment has arrived; False if that was known."""
+        if self._state[index] == _ACKED:
+            return False
+        self._state[index] = _ACKED
+        self.acked_count += 1
+        return True
+
+    def send_again(self, indices: Iterable[int]) -> bool:
+        """Queue fragments once more, unless they have arrived or wait already; True if any was queued."""
+        added = False
+        for index in indices:
+            if self._state[index] == _SENT:
+                self._state[index] = _WAITS_AGAIN
+                heapq.heappush(self._again, index)
+                added = True
+        return added
+
+    def was_repeated_after(self, index: int, packet_number: int) -> bool:
+        """Whether a newer packet than this one carries the fragment too."""
+        return self._last_number.get(index, -1) > packet_number
+
+    def start_over(self) -> None:
+        """Forget all progress: the receiver has lost what it had."""
+        self.next_index = 0
+        self.acked_count = 0
+        self._state = bytearray(self.message.fragment_count)
+        self._again.clear()
+        self._last_number.clear()

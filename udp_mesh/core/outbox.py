@@ -1,0 +1,267 @@
+"""Publishing: what is taken, what is refused, what is dropped and why. Nothing is ever dropped without an event.
+
+Offline destinations. A message that is already queued stays and is delivered at the peer's return, unless its lifetime
+is over. A new message for an offline peer is refused (``discard``) or replaces the waiting one of its topic
+(``latest``).
+Limits. When the queue is full, the oldest message of the least urgent priority that has not begun to be sent goes; a
+message that has begun only makes room for a more urgent one, or nothing big would ever finish on a slow link.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable
+
+from udp_mesh.core import wire
+from udp_mesh.core.events import DropReason, MessageAcked, MessageDropped, MessageQueued, RefusalReason
+from udp_mesh.core.messages import Message, Transfer
+from udp_mesh.core.peer import Lane, Peer
+from udp_mesh.core.scheduler import Scheduler
+from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, TopicPolicy
+from udp_mesh.core.state import NodeState
+
+_COMPACT_FROM = 256
+
+
+class Refused(Exception):
+    """A message was not taken; nothing was queued and no event follows."""
+
+    def __init__(self, reason: RefusalReason) -> None:
+        super().__init__(reason.value)
+        self.reason = reason
+
+
+class Outbox:
+    """Every unfinished transfer of the node, within its limits."""
+
+    def __init__(self, state: NodeState) -> None:
+        self._state = state
+        self.queued_bytes = 0
+        self._order = 0
+        self._by_priority: dict[
+            int, dict[int, Transfer]
+        ] = {}  # by order of publication, which is the last part of a key
+        self._by_topic: dict[str, dict[int, Transfer]] = {}
+        self._deadlines: list[tuple[float, int, Transfer]] = []
+        self._compact_at = _COMPACT_FROM
+
+    def publish(self, topic: str, payload: bytes, *, to: str, policy: TopicPolicy, now: float) -> int:
+        """Queue a message; return its id.
+
+        Raises:
+            Refused: With the reason; see :class:`RefusalReason`.
+        """
+        state = self._state
+        encoded = topic.encode()
+        if not 0 < len(encoded) <= min(wire.MAX_TOPIC_BYTES, state.settings.payload_bytes // 2):
+            raise Refused(RefusalReason.BAD_TOPIC)
+        if not 0 <= policy.priority <= 255 or (policy.lifetime_s is not None and policy.lifetime_s <= 0):
+            raise Refused(RefusalReason.BAD_POLICY)
+        if len(payload) > min(MAX_MESSAGE_BYTES, state.settings.queue_bytes):
+            raise Refused(RefusalReason.TOO_LARGE)
+        datagram_bytes = state.settings.payload_bytes
+        message = Message(state.next_message_id, topic, payload, policy, datagram_bytes=datagram_bytes, now=now)
+        if message.fragment_count > wire.MAX_FRAGMENTS:
+            raise Refused(RefusalReason.TOO_LARGE)
+        lanes = self._lanes(message, to, now=now)
+        self._make_room(message, len(lanes), now=now)
+        state.take_message_id()
+        for lane in lanes:
+            self._add(message, lane, now=now)
+        return message.message_id
+
+    def _lanes(self, message: Message, to: str, *, now: float) -> list[Lane]:
+        state = self._state
+        if to == BROADCAST_NAME:
+            if message.fragment_count == 1:
+                return [state.broadcast]
+            peers = [p for p in state.peers.values() if self._takes(p, message, now=now)]
+            if not peers:
+                raise Refused(RefusalReason.PEER_OFFLINE)
+            return [peer.lane for peer in peers]
+        peer = state.peers.get(to)
+        if peer is None:
+            raise Refused(RefusalReason.OWN_NAME if to == state.settings.name else RefusalReason.UNKNOWN_PEER)
+        if not self._takes(peer, message, now=now):
+            raise Refused(RefusalReason.PEER_OFFLINE)
+        return [peer.lane]
+
+    @staticmethod
+    def _takes(peer: Peer, message: Message, *, now: float) -> bool:
+        peer.last_traffic_s = now  # also of a refused message: it is worth probing for this peer
+        return peer.is_online or message.survives_offline
+
+    def _add(self, message: Message, lane: Lane, *, now: float) -> None:
+        state = self._state
+        order = self._order
+        self._order += 1
+        key = Scheduler.key(message, order=order, prioritise=state.settings.prioritise)
+        transfer = Transfer(message, lane.name, key)
+        if message.keeps_latest or message.survives_offline:
+            self._supersede(transfer, lane, now=now)
+        lane.transfers[message.message_id] = transfer
+        self._by_priority.setdefault(message.policy.priority, {})[order] = transfer
+        self._by_topic.setdefault(message.topic, {})[order] = transfer
+        self.queued_bytes += message.size_bytes
+        if message.deadline_s is not None:
+            self._watch_deadline(message.deadline_s, order, transfer)
+        state.scheduler.push(transfer)
+        state.events.append(
+            MessageQueued(
+                now,
+                message.message_id,
+                message.topic,
+                message.policy.priority,
+                message.size_bytes,
+                message.fragment_count,
+                lane.name,
+            )
+        )
+
+    def _supersede(self, newest: Transfer, lane: Lane, *, now: float) -> None:
+        topic = newest.message.topic
+        older = lane.newest.get(topic)
+        peer = self._state.peers.get(lane.name)
+        is_offline = peer is not None and not peer.is_online
+        # A message under way is finished, or a topic faster than the link would never deliver anything.
+        replaces = newest.message.keeps_latest or is_offline
+        if older is not None and not older.is_done and replaces and (is_offline or not older.is_started):
+            self.drop(older, DropReason.SUPERSEDED, now=now)
+        lane.newest[topic] = newest
+
+    def _make_room(self, message: Message, copies: int, *, now: float) -> None:
+        settings = self._state.settings
+        topic = self._by_topic.get(message.topic, {})
+        while len(topic) + copies > settings.queue_messages:
+            victim = next((t for t in topic.values() if not t.is_started), None)
+            if victim is None:
+                raise Refused(RefusalReason.QUEUE_FULL)
+            self.drop(victim, DropReason.QUEUE_FULL, now=now)
+        while self.queued_bytes + copies * message.size_bytes > settings.queue_bytes:
+            victim = self._least_valuable(message)
+            if victim is None:
+                raise Refused(RefusalReason.QUEUE_FULL)
+            self.drop(victim, DropReason.QUEUE_FULL, now=now)
+
+    def _least_valuable(self, newcomer: Message) -> Transfer | None:
+        for priority in sorted(self._by_priority, reverse=True):
+            if priority < newcomer.policy.priority:
+                return None
+            transfers = self._by_priority[priority].values()
+            waiting = next((t for t in transfers if not t.is_started), None)
+            if waiting is not None:
+                return waiting
+            if priority > newcomer.policy.priority and transfers:
+                return next(iter(transfers))
+        return None
+
+    def drop(self, transfer: Transfer, reason: DropReason, *, now: float) -> None:
+        """End a transfer without a confirmed delivery."""
+        if transfer.is_done:
+            return
+        self._finish(transfer)
+        message = transfer.message
+        self._state.counters[f"dropped_{reason.value}"] += 1
+        self._state.events.append(
+            MessageDropped(
+                now,
+                message.message_id,
+                message.topic,
+                message.policy.priority,
+                message.size_bytes,
+                transfer.peer,
+                reason,
+            )
+        )
+
+    def acknowledge(self, parts: Iterable[tuple[Transfer, int]], *, now: float) -> None:
+        """Note that fragments have arrived; report messages that are complete with them."""
+        for transfer, index in parts:
+            if transfer.is_done or not transfer.acknowledge(index) or not transfer.is_complete:
+                continue
+            self._finish(transfer)
+            message = transfer.message
+            latency_s = now - message.queued_at_s
+            priority = message.policy.priority
+            self._state.counters["messages_acked"] += 1
+            self._state.events.append(
+                MessageAcked(now, message.message_id, message.topic, priority, transfer.peer, latency_s)
+            )
+
+    def sent_broadcast(self, transfer: Transfer) -> None:
+        """Forget a broadcast that has left: nobody will acknowledge it."""
+        self._finish(transfer)
+
+    def retry(self, parts: Iterable[tuple[Transfer, int]], *, packet_number: int, now: float) -> None:
+        """Queue the fragments of a lost packet again, at their own priority; best-effort messages end here."""
+        for transfer, index in parts:
+            if transfer.is_done or transfer.was_repeated_after(index, packet_number):
+                continue
+            if not transfer.message.is_reliable:
+                self.drop(transfer, DropReason.LOST, now=now)
+            elif transfer.send_again([index]):
+                self._state.scheduler.push(transfer)
+
+    def start_over(self, transfer: Transfer, *, now: float) -> None:
+        """Send a message from its beginning under a new id: its receiver has forgotten what it had."""
+        lane = self._state.lane(transfer.peer)
+        policy = transfer.message.policy
+        message = transfer.message
+        self._finish(transfer)
+        fresh = Message(
+            self._state.take_message_id(),
+            message.topic,
+            bytes(message.payload),
+            policy,
+            datagram_bytes=self._state.settings.payload_bytes,
+            now=message.queued_at_s,
+        )
+        self._add(fresh, lane, now=now)
+
+    def on_peer_offline(self, peer: Peer, *, now: float) -> None:
+        """Reliable messages wait for the peer's return; a best-effort one that has begun is lost."""
+        for transfer in list(peer.lane.transfers.values()):
+            if transfer.is_started and not transfer.message.is_reliable:
+                self.drop(transfer, DropReason.PEER_OFFLINE, now=now)
+
+    def on_peer_restarted(self, peer: Peer, *, now: float) -> None:
+        """Messages that may have reached the old epoch end as unknown; the others begin anew."""
+        for transfer in list(peer.lane.transfers.values()):
+            if transfer.is_fully_sent:
+                self.drop(transfer, DropReason.PEER_RESTARTED, now=now)
+            elif transfer.is_started:
+                transfer.start_over()
+                self._state.scheduler.push(transfer)
+
+    def expire(self, *, now: float) -> None:
+        """Drop every message whose lifetime is over."""
+        while self._deadlines and (self._deadlines[0][0] <= now or self._deadlines[0][2].is_done):
+            self.drop(heapq.heappop(self._deadlines)[2], DropReason.EXPIRED, now=now)
+
+    def _watch_deadline(self, deadline_s: float, order: int, transfer: Transfer) -> None:
+        heapq.heappush(self._deadlines, (deadline_s, order, transfer))
+        if len(self._deadlines) >= self._compact_at:  # long lifetimes must not keep finished messages in memory
+            self._deadlines = [entry for entry in self._deadlines if not entry[2].is_done]
+            heapq.heapify(self._deadlines)
+            self._compact_at = max(_COMPACT_FROM, 2 * len(self._deadlines))
+
+    def depths(self) -> dict[str, int]:
+        """Return the messages waiting or in flight, by topic."""
+        return {topic: len(transfers) for topic, transfers in self._by_topic.items()}
+
+    def next_timer(self) -> float | None:
+        """Return when the next lifetime ends."""
+        return self._deadlines[0][0] if self._deadlines else None
+
+    def _finish(self, transfer: Transfer) -> None:
+        message, order = transfer.message, transfer.key[2]
+        transfer.is_done = True
+        lane = self._state.lane(transfer.peer)
+        del lane.transfers[message.message_id]
+        if lane.newest.get(message.topic) is transfer:
+            del lane.newest[message.topic]
+        self._by_priority[message.policy.priority].pop(order)
+        self._by_topic[message.topic].pop(order)
+        if not self._by_topic[message.topic]:
+            del self._by_topic[message.topic]
+        self.queued_bytes -= message.size_bytes

@@ -1,0 +1,100 @@
+"""What a node remembers of another node, and of one epoch of it. State only; the rules are elsewhere."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from udp_mesh.core import wire
+from udp_mesh.core.acks import AckTracker
+from udp_mesh.core.congestion import CongestionControl
+from udp_mesh.core.messages import Transfer
+from udp_mesh.core.pacer import Pacer
+from udp_mesh.core.reassembly import Reassembler, ReassemblyMemory
+from udp_mesh.core.recovery import Recovery
+from udp_mesh.core.rtt import RttEstimator
+
+REMEMBERED_EPOCHS = 16
+NEVER_S = float("-inf")
+
+
+class Path(NamedTuple):
+    """Where datagrams go: a carrier (an interface, by the number its owner gave it) and an address there.
+
+    The core does not look into the address; the empty one means every node on the carrier.
+    """
+
+    carrier: int
+    address: str
+
+
+@dataclass(slots=True)
+class Lane:
+    """Unfinished transfers to one destination, by message id, in order of publication."""
+
+    name: str
+    transfers: dict[int, Transfer] = field(default_factory=dict)
+    newest: dict[str, Transfer] = field(default_factory=dict)
+    """By topic, for topics of which only the newest message is kept."""
+
+
+class Session:
+    """What holds for one epoch of a peer only."""
+
+    def __init__(self, epoch: int, memory: ReassemblyMemory, *, now: float) -> None:
+        self.epoch = epoch
+        self.tag = wire.tag_of(epoch)
+        self.rtt = RttEstimator()
+        self.recovery = Recovery(rtt=self.rtt, now=now)
+        self.acks = AckTracker()
+        self.reassembler = Reassembler(memory)
+        self.floor_sent = 0
+        self.control: list[bytes] = []  # frames for the next datagram
+        self.ping_wanted = False
+        self.probe_credits = 0  # packets that may leave whatever the window says
+
+
+class Peer:
+    """Another node, by name. Its queue, window and rate survive outages; a restart replaces only the session."""
+
+    def __init__(self, name: str, session: Session, path: Path, congestion: CongestionControl, *, now: float) -> None:
+        self.lane = Lane(name)
+        self.session = session
+        self.congestion = congestion
+        self.pacer = Pacer()
+        self.path = path
+        self.path_heard_s = now
+        self.is_online = False
+        self.needs_evidence = False  # hearing it is not enough: it does not hear us
+        self.beacon_interval_s = 1.0
+        self.last_heard_s = now
+        self.waiting_since_s: float | None = None  # oldest unanswered packet since it last showed that it hears us
+        self.down_since_s = NEVER_S
+        self.last_traffic_s = NEVER_S
+        self.last_window_event_s = NEVER_S
+        self.was_limited = False
+        self.retired: deque[int] = deque(maxlen=REMEMBERED_EPOCHS)
+        self.retired_at_s = NEVER_S
+
+    @property
+    def name(self) -> str:
+        """The node's name."""
+        return self.lane.name
+
+
+@dataclass(frozen=True, slots=True)
+class PeerStatus:
+    """A peer as applications see it. ``rate_bps`` is the estimated rate of the path, 0 if never measured."""
+
+    name: str
+    online: bool
+    carrier: int
+    address: str
+    silent_for_s: float
+    srtt_s: float | None
+    rate_bps: float
+    cwnd_bytes: int
+    queue_delay_s: float
+    queued_messages: int
+    queued_bytes: int

@@ -1,0 +1,77 @@
+"""What can be set: the values that the core obeys. Reading them from a file belongs to :mod:`udp_mesh.config`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+
+BROADCAST_NAME = "all"
+MAX_MESSAGE_BYTES = 16 * 1024 * 1024
+
+
+class Reliability(StrEnum):
+    """Whether lost fragments are sent again."""
+
+    RELIABLE = "reliable"
+    BEST_EFFORT = "best_effort"
+
+
+class Keep(StrEnum):
+    """Whether a newer message of a topic replaces an older one that has not begun to be sent."""
+
+    ALL = "all"
+    LATEST = "latest"
+
+
+class Offline(StrEnum):
+    """What happens to a message published while its destination is offline."""
+
+    DISCARD = "discard"
+    LATEST = "latest"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicPolicy:
+    """How messages of one topic travel. ``priority``: 0..255, lower is more urgent. ``lifetime_s``: None is forever."""
+
+    priority: int = 5
+    reliability: Reliability = Reliability.RELIABLE
+    keep: Keep = Keep.ALL
+    lifetime_s: float | None = None
+    offline: Offline = Offline.DISCARD
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """One node's settings; every field may change at run time through ``MeshCore.reconfigure`` except ``name``."""
+
+    name: str
+    payload_bytes: int = 1400
+    """Largest datagram, without IP and UDP headers."""
+    window: int = 0
+    """Packets in flight to one peer; 0 leaves it to congestion control."""
+    prioritise: bool = True
+    """False sends messages in the order of their publication."""
+    probe: bool = True
+    """False leaves the return of an offline peer to its beacons."""
+    beacon_interval_s: float = 1.0
+    queue_bytes: int = 16 * 1024 * 1024
+    """Payload waiting or in flight in this node, over all destinations."""
+    queue_messages: int = 4096
+    """Messages of one topic waiting or in flight in this node."""
+    reassembly_bytes: int = 64 * 1024 * 1024
+    """Memory reserved for partial messages from all peers."""
+    suspect_after_s: float = 0.5
+    """Silence of a peer that owes an answer before it counts as offline."""
+    trace_fragments: bool = False
+    """Whether every fragment sent becomes an event."""
+    topics: Mapping[str, TopicPolicy] = field(default_factory=lambda: MappingProxyType({}))
+
+    def policy(self, topic: str) -> TopicPolicy:
+        """Return the policy of a topic, the default one if the topic is not listed."""
+        return self.topics.get(topic, _DEFAULT_POLICY)
+
+
+_DEFAULT_POLICY = TopicPolicy()

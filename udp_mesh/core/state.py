@@ -1,0 +1,55 @@
+"""What the parts of one core share: settings, peers, the queue, events, counters. No rules."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from random import Random
+
+from udp_mesh.core import wire
+from udp_mesh.core.congestion import CongestionControl, FixedWindow
+from udp_mesh.core.copa import Copa
+from udp_mesh.core.events import Event
+from udp_mesh.core.peer import Lane, Peer
+from udp_mesh.core.reassembly import ReassemblyMemory
+from udp_mesh.core.scheduler import Scheduler
+from udp_mesh.core.settings import BROADCAST_NAME, Settings
+
+
+class NodeState:
+    """One node."""
+
+    def __init__(self, settings: Settings, *, epoch: int, rng: Random) -> None:
+        self.settings = settings
+        self.epoch = epoch
+        self.tag = wire.tag_of(epoch)
+        self.rng = rng
+        self.memory = ReassemblyMemory(settings.reassembly_bytes)
+        self.scheduler = Scheduler()
+        self.peers: dict[str, Peer] = {}
+        self.by_epoch: dict[int, Peer] = {}
+        self.broadcast = Lane(BROADCAST_NAME)
+        self.carriers: dict[int, None] = {}
+        self.events: deque[Event] = deque()
+        self.counters: Counter[str] = Counter()
+        self.next_message_id = 0
+
+    def lane(self, name: str) -> Lane:
+        """Return the lane of a known destination."""
+        return self.broadcast if name == BROADCAST_NAME else self.peers[name].lane
+
+    def take_message_id(self) -> int:
+        """Return a new message id."""
+        self.next_message_id += 1
+        return self.next_message_id - 1
+
+    def floor(self, lane: Lane) -> int:
+        """Return the least message id that is not settled for this destination, broadcasts included."""
+        return min(
+            next(iter(lane.transfers), self.next_message_id), next(iter(self.broadcast.transfers), self.next_message_id)
+        )
+
+    def new_congestion(self, *, now: float) -> CongestionControl:
+        """Return the congestion control that the settings ask for."""
+        if self.settings.window:
+            return FixedWindow(self.settings.window, datagram_bytes=self.settings.payload_bytes)
+        return Copa(datagram_bytes=self.settings.payload_bytes, now=now)

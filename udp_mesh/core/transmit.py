@@ -1,0 +1,214 @@
+"""Builds the datagrams that may leave now: acknowledgements and control first, then data by the scheduler's order."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from udp_mesh.core import wire
+from udp_mesh.core.events import FragmentRetransmitted, FragmentSent
+from udp_mesh.core.messages import Transfer
+from udp_mesh.core.outbox import Outbox
+from udp_mesh.core.peer import Path, Peer
+from udp_mesh.core.settings import BROADCAST_NAME
+from udp_mesh.core.state import NodeState
+
+MAX_DATAGRAMS_PER_TURN = 64
+FLOOR_EVERY_MESSAGES = 64
+_FLOOR_BYTES = len(wire.encode_floor(0))
+_MIN_ACK_ROOM_BYTES = 64
+
+
+class Datagram(NamedTuple):
+    """Bytes for one path. Consecutive ones for the same path and of one size may leave in one system call."""
+
+    path: Path
+    data: bytes
+
+
+class Transmitter:
+    """Sends within each peer's window and pace."""
+
+    def __init__(self, state: NodeState, outbox: Outbox) -> None:
+        self._state = state
+        self._outbox = outbox
+        self._broadcast_number = 0
+
+    def datagrams(self, *, now: float) -> list[Datagram]:
+        """Return what may leave now; with much to send only the first part, so that the caller can receive between."""
+        out: list[Datagram] = []
+        for peer in self._state.peers.values():
+            self._control(peer, out, now=now)
+        self._outbox.expire(now=now)
+        scheduler = self._state.scheduler
+
+        def can_send(transfer: Transfer) -> bool:
+            return self._may_send(transfer, now=now)
+
+        while len(out) < MAX_DATAGRAMS_PER_TURN:
+            transfer = scheduler.pick(can_send)
+            if transfer is None:
+                break
+            if transfer.peer == BROADCAST_NAME:
+                self._send_broadcast(transfer, out, now=now)
+            else:
+                out.append(self._data(self._state.peers[transfer.peer], transfer, now=now))
+        for peer in self._state.peers.values():
+            peer.was_limited = peer.is_online and scheduler.head(peer.name) is not None
+        return out
+
+    def broadcast(self, frames: bytes) -> list[Datagram]:
+        """Return one unacknowledged datagram per carrier."""
+        header = wire.encode_header(
+            epoch=self._state.epoch,
+            destination_tag=0,
+            packet_number=self._broadcast_number,
+            flags=wire.FLAG_UNNUMBERED,
+        )
+        self._broadcast_number += 1
+        return [Datagram(Path(carrier, ""), header + frames) for carrier in self._state.carriers]
+
+    def stray(self, path: Path, tag: int, frames: bytes) -> Datagram:
+        """Return a unicast to somebody with whom there is no session; it is never acknowledged."""
+        header = wire.encode_header(
+            epoch=self._state.epoch, destination_tag=tag, packet_number=wire.MAX_NUMBER, flags=wire.FLAG_UNNUMBERED
+        )
+        return Datagram(path, header + frames)
+
+    def next_timer(self, *, now: float) -> float | None:
+        """Return when something may leave that cannot leave now; ``now`` if more waits than one turn takes."""
+        times = [self._peer_timer(peer, now=now) for peer in self._state.peers.values()]
+        if self._state.carriers and self._state.scheduler.head(BROADCAST_NAME) is not None:
+            times.append(now)
+        return min((time for time in times if time is not None), default=None)
+
+    def _peer_timer(self, peer: Peer, *, now: float) -> float | None:
+        session = peer.session
+        if not peer.is_online:
+            return None
+        if session.control or session.ping_wanted:
+            return now
+        due_s = session.acks.due_at_s
+        head = self._state.scheduler.head(peer.name)
+        if head is not None:
+            if self._may_send(head, now=now):
+                return now
+            if self._has_window(peer):
+                due_s = peer.pacer.next_at_s if due_s is None else min(due_s, peer.pacer.next_at_s)
+        return due_s
+
+    def _has_window(self, peer: Peer) -> bool:
+        in_flight = peer.session.recovery.in_flight_bytes + self._state.settings.payload_bytes
+        return in_flight <= peer.congestion.cwnd_bytes
+
+    def _may_send(self, transfer: Transfer, *, now: float) -> bool:
+        if transfer.peer == BROADCAST_NAME:
+            return bool(self._state.carriers)
+        peer = self._state.peers[transfer.peer]
+        if not peer.is_online:
+            return False
+        if peer.session.probe_credits > 0:
+            return True
+        if self._has_window(peer) and peer.pacer.next_at_s <= now:
+            return True
+        if not self._state.settings.prioritise:
+            return False
+        # Somebody less urgent fills window or pace: a few urgent packets go past them instead of behind them.
+        recovery = peer.session.recovery
+        as_urgent = recovery.urgent_in_flight(transfer.message.policy.priority)
+        return as_urgent < peer.congestion.urgent_packets and as_urgent < len(recovery)
+
+    def _control(self, peer: Peer, out: list[Datagram], *, now: float) -> None:
+        session = peer.session
+        due_s = session.acks.due_at_s
+        if not peer.is_online or not (session.control or session.ping_wanted or (due_s is not None and due_s <= now)):
+            return
+        frames = session.control
+        session.control = []
+        if session.acks.has_pending:
+            room_bytes = self._state.settings.payload_bytes - wire.HEADER_BYTES - sum(map(len, frames))
+            frames.append(session.acks.take(room_bytes=room_bytes, now=now))
+        parts: list[tuple[Transfer, int]] | None = None
+        if session.ping_wanted:
+            session.ping_wanted = False
+            frames.append(wire.PING)
+            parts = []
+        out.append(self._packet(peer, frames, parts, priority=0, ack_now=True, now=now))
+
+    def _data(self, peer: Peer, transfer: Transfer, *, now: float) -> Datagram:
+        """Build one packet: the next fragment, and what else of this peer's queue fits behind it."""
+        session, scheduler = peer.session, self._state.scheduler
+        number = session.recovery.next_packet_number
+        frames: list[bytes | memoryview] = []
+        parts: list[tuple[Transfer, int]] = []
+        room = self._state.settings.payload_bytes - wire.HEADER_BYTES
+        priority = transfer.message.policy.priority
+        following: Transfer | None = transfer
+        while following is not None:
+            index = following.peek()
+            if index is None or following.message.fragment_bytes(index) > room:
+                break
+            self._note_fragment(following, index, number, now=now)
+            frames.extend(following.message.fragment(index))
+            room -= following.message.fragment_bytes(index)
+            following.advance(number)
+            parts.append((following, index))
+            following = scheduler.head(peer.name) if room > wire.DATA_BYTES else None
+        if session.acks.has_pending and room >= _MIN_ACK_ROOM_BYTES:
+            ack = session.acks.take(room_bytes=room, now=now)
+            frames.append(ack)
+            room -= len(ack)
+        self._add_floor(peer, frames, room)
+        session.probe_credits = max(0, session.probe_credits - 1)
+        stalls = scheduler.head(peer.name) is None or (
+            session.recovery.in_flight_bytes + 2 * self._state.settings.payload_bytes > peer.congestion.cwnd_bytes
+        )
+        return self._packet(peer, frames, parts, priority=priority, ack_now=stalls, now=now)
+
+    def _note_fragment(self, transfer: Transfer, index: int, number: int, *, now: float) -> None:
+        message = transfer.message
+        what = (now, message.message_id, message.policy.priority, index, number, transfer.peer)
+        if transfer.retransmits_next:
+            self._state.counters["fragments_retransmitted"] += 1
+            self._state.events.append(FragmentRetransmitted(*what))
+        elif self._state.settings.trace_fragments:
+            self._state.events.append(FragmentSent(*what))
+
+    def _add_floor(self, peer: Peer, frames: list[bytes | memoryview], room: int) -> None:
+        floor = self._state.floor(peer.lane)
+        if room >= _FLOOR_BYTES and floor >= peer.session.floor_sent + FLOOR_EVERY_MESSAGES:
+            peer.session.floor_sent = floor
+            frames.append(wire.encode_floor(floor))
+
+    def _packet(
+        self,
+        peer: Peer,
+        frames: list[bytes | memoryview] | list[bytes],
+        parts: list[tuple[Transfer, int]] | None,
+        *,
+        priority: int,
+        ack_now: bool,
+        now: float,
+    ) -> Datagram:
+        """Number a packet, charge the pace, and follow it if it is to be acknowledged (``parts`` is not None)."""
+        session = peer.session
+        number = session.recovery.take_packet_number()
+        header = wire.encode_header(
+            epoch=self._state.epoch,
+            destination_tag=session.tag,
+            packet_number=number,
+            flags=wire.FLAG_ACK_NOW if ack_now else 0,
+        )
+        data = b"".join((header, *frames))
+        if parts is not None:
+            session.recovery.on_sent(number, size_bytes=len(data), priority=priority, parts=tuple(parts), now=now)
+            if peer.waiting_since_s is None:
+                peer.waiting_since_s = now
+        peer.pacer.on_sent(len(data), rate_bps=peer.congestion.pacing_rate_bps, now=now)
+        return Datagram(peer.path, data)
+
+    def _send_broadcast(self, transfer: Transfer, out: list[Datagram], *, now: float) -> None:
+        number = self._broadcast_number
+        self._note_fragment(transfer, 0, number, now=now)
+        out.extend(self.broadcast(b"".join(transfer.message.fragment(0))))
+        transfer.advance(number)
+        self._outbox.sent_broadcast(transfer)
