@@ -203,10 +203,29 @@ def _no_ipv6_template() -> Template:
     return Template(encode_no_ipv6_address(_MARK_INDEX), {"index": _U32.pack(_MARK_INDEX)})
 
 
-def encode_delete_link(index: int) -> bytes:
-    """RTM_DELLINK by index; of a veth both ends go."""
+def encode_set_group(index: int, group: int) -> bytes:
+    """RTM_NEWLINK that puts an interface into a group, by which many can be deleted at once."""
     message = ifinfmsg()
     message["index"] = index
+    message["attrs"] = [("IFLA_GROUP", group)]
+    return encode_message(message, RTM_NEWLINK, 0)
+
+
+def set_group(index: int, group: int) -> bytes:
+    """The bytes of :func:`encode_set_group`, from a template."""
+    return _group_template().fill({"index": _U32.pack(index), "group": _U32.pack(group)})
+
+
+@functools.lru_cache(maxsize=1)
+def _group_template() -> Template:
+    markers = {"index": _U32.pack(_MARK_INDEX), "group": _U32.pack(_MARK_PEER_INDEX)}
+    return Template(encode_set_group(_MARK_INDEX, _MARK_PEER_INDEX), markers)
+
+
+def encode_delete_group(group: int) -> bytes:
+    """RTM_DELLINK of all interfaces of a group; of a veth both ends go."""
+    message = ifinfmsg()
+    message["attrs"] = [("IFLA_GROUP", group)]
     return encode_message(message, RTM_DELLINK, 0)
 
 

@@ -117,7 +117,7 @@ class _Builder:
 
     def build(self) -> Wiring:
         try:
-            first = max(_FIRST_PEER_INDEX, _highest_index(self._far) + 1)
+            first = max(_FIRST_PEER_INDEX, highest_index(self._far) + 1)
             self._peer_ifindex = tuple(range(first, first + len(self._veths)))
             with netns.returning() as far_fd:
                 for name, positions in self._by_name.items():
@@ -208,7 +208,8 @@ def _request(sock: NetlinkSocket, orders: Sequence[bytes], labels: Sequence[str]
         raise OSError(error.errno, f"{labels[error.position]}: {error.strerror}") from error
 
 
-def _highest_index(sock: NetlinkSocket) -> int:
+def highest_index(sock: NetlinkSocket) -> int:
+    """Return the largest interface index in the socket's namespace."""
     # struct ifinfomsg: family, pad, type (4 bytes), then the index
     dump = sock.dump(messages.encode_dump_links())
     return max(int.from_bytes(link[HEADER.size + 4 : HEADER.size + 8], "little") for link in dump)
