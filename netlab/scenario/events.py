@@ -11,6 +11,7 @@ from netlab.scenario.links import Ends
 from netlab.scenario.quantities import PositiveSeconds, Seconds
 from netlab.scenario.words import Words
 
+MOST_CYCLES = 10_000
 KINDS = ("outage", "flap", "link", "kill")
 
 
@@ -36,6 +37,10 @@ class Flap(PathEvent):
     down_s: PositiveSeconds = Field(alias="down")
     until_s: PositiveSeconds = Field(alias="until")
     carrier: Switch = True
+
+    def cycles(self, at_s: float) -> float:
+        """How many times the link goes down, for a flap that begins at ``at_s``."""
+        return (self.until_s - at_s) / (self.up_s + self.down_s)
 
     @model_validator(mode="after")
     def _a_cable_has_two_ends(self) -> Self:
@@ -82,6 +87,8 @@ class Event(StrictModel):
             raise ValueError(f"restart belongs to kill; remove it beside {given[0]}")
         if self.flap is not None and self.flap.until_s <= self.at_s:
             raise ValueError("until is not after at; both are scenario times")
+        if self.flap is not None and self.flap.cycles(self.at_s) > MOST_CYCLES:
+            raise ValueError(f"the link would flap more than {MOST_CYCLES:,} times; make up and down longer")
         return self
 
     @property

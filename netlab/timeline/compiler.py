@@ -1,0 +1,176 @@
+"""Events of a scenario to a schedule of actions on ports, sorted by time.
+
+Theory: every outage and every down phase of a flap is a hold that is taken and released. Moments are worked off in the
+order of time, at the same time beginnings before endings, so that one cut that follows another without a gap does not
+let a single frame through. An entry appears only where something really changes; it restores two nodes when after it no
+hold is left on anything between them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from netlab.medium.impairments import Impairment
+from netlab.scenario.events import Event, Flap, Kill, LinkChange, Outage
+from netlab.scenario.model import Scenario
+from netlab.scenario.radio import TraceRow
+from netlab.timeline.entries import (
+    Action,
+    Entry,
+    KillProcess,
+    Kind,
+    Pair,
+    SetCarrier,
+    SetOutage,
+    SetPairs,
+    StartProcess,
+)
+from netlab.timeline.holds import Hold, Holds
+from netlab.timeline.impairments import Impairments
+from netlab.timeline.labels import path_name, words_text
+from netlab.timeline.paths import Hop, RadioWords, WireWords
+from netlab.timeline.places import Places
+
+if TYPE_CHECKING:
+    from netlab.engines.base import LabPlan
+
+
+def compile_timeline(scenario: Scenario, plan: LabPlan) -> tuple[Entry, ...]:
+    """Return what happens when, sorted by time; only endings can lie at or after the duration.
+
+    Args:
+        scenario: A checked scenario.
+        plan: The plan that :func:`netlab.engines.plan.compile_plan` made of it.
+    """
+    compiler = _Compiler(scenario, plan)
+    moments = sorted(compiler.moments(), key=lambda moment: (moment.at_s, moment.ends))
+    return tuple(entry for moment in moments for entry in moment.entries(moment.at_s))
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """Something at a time, turned into entries when its turn comes; ``ends`` puts endings behind beginnings."""
+
+    at_s: float
+    ends: bool
+    entries: Callable[[float], Iterator[Entry]]
+
+
+class _Compiler:
+    def __init__(self, scenario: Scenario, plan: LabPlan) -> None:
+        self._scenario = scenario
+        self._places = Places(plan)
+        self._holds = Holds()
+        self._impairments = Impairments()
+        self._wire_words = WireWords(scenario)
+        self._radio_words = RadioWords(scenario) if scenario.radio is not None else None
+
+    def moments(self) -> Iterator[_Moment]:
+        yield from self._trace_moments()
+        for event in self._scenario.events:
+            if event.outage is not None:
+                end_s = event.at_s + event.outage.for_s
+                yield from self._cut(event.at_s, end_s, event.outage, Hold(self._silent(event.outage)))
+            elif event.flap is not None:
+                hold = self._flap_hold(event.flap)
+                for down_s, up_s in self._down_phases(event.at_s, event.flap):
+                    yield from self._cut(down_s, up_s, event.flap, hold)
+            elif event.link is not None:
+                yield _Moment(event.at_s, False, partial(self._change, event.link))
+            elif event.kill is not None:
+                yield from self._kill_moments(event, event.kill)
+
+    def _silent(self, part: Outage | Flap) -> frozenset[Pair]:
+        wire, radio = self._places.meant(part)
+        return frozenset(wire | radio)
+
+    def _flap_hold(self, flap: Flap) -> Hold:
+        wire, radio = self._places.meant(flap)
+        if flap.carrier and flap.between is not None:
+            return Hold(frozenset(radio), frozenset(port for pair in wire for port in pair))
+        return Hold(frozenset(wire | radio))
+
+    def _down_phases(self, at_s: float, flap: Flap) -> Iterator[tuple[float, float]]:
+        last_s = min(flap.until_s, self._scenario.duration_s)
+        period_s = flap.down_s + flap.up_s
+        for cycle in range(math.ceil((last_s - at_s) / period_s)):
+            down_s = at_s + cycle * period_s
+            if down_s < last_s:
+                yield down_s, min(down_s + flap.down_s, flap.until_s)
+
+    def _cut(self, from_s: float, to_s: float, part: Outage | Flap, hold: Hold) -> Iterator[_Moment]:
+        yield _Moment(from_s, False, partial(self._begin, part, hold))
+        yield _Moment(to_s, True, partial(self._end, part, hold))
+
+    def _begin(self, part: Outage | Flap, hold: Hold, at_s: float) -> Iterator[Entry]:
+        fell = self._holds.take(hold)
+        flap = isinstance(part, Flap)
+        kind = Kind.FLAP_DOWN if flap else Kind.OUTAGE
+        label = f"flap {path_name(part)} down" if flap else f"outage {path_name(part)} begins"
+        if fell.ports:
+            yield Entry(at_s, kind, label, SetCarrier(fell.ports, up=False))
+        if fell.pairs:
+            yield Entry(at_s, kind, label, SetOutage(fell.pairs, active=True))
+
+    def _end(self, part: Outage | Flap, hold: Hold, at_s: float) -> Iterator[Entry]:
+        rose = self._holds.release(hold)
+        flap = isinstance(part, Flap)
+        kind = Kind.FLAP_UP if flap else Kind.OUTAGE_END
+        label = f"flap {path_name(part)} up" if flap else f"outage {path_name(part)} ends"
+        a, b = part.ends
+        restores = (a, b) if self._holds.free(self._places.all_between(a, b)) else None
+        if rose.ports:
+            yield Entry(at_s, kind, label, SetCarrier(rose.ports, up=True), None if rose.pairs else restores)
+        if rose.pairs:
+            yield Entry(at_s, kind, label, SetOutage(rose.pairs, active=False), restores)
+
+    def _change(self, change: LinkChange, at_s: float) -> Iterator[Entry]:
+        changes: dict[Pair, Impairment | None] = {}
+        for hop in change.directions:
+            wire = self._places.wire(hop) if change.over != "radio" else None
+            radio = self._places.radio(hop)
+            if wire is not None:
+                self._wire_words.change(hop, change)
+                changes[wire] = self._impairments.of(self._wire_words.get(hop))
+            elif radio is not None and self._radio_words is not None:
+                self._radio_words.change(hop, change)
+                changes[radio] = self._heard(self._radio_words, hop)
+        yield Entry(at_s, Kind.LINK, f"link {path_name(change)}: {words_text(change)}", SetPairs(changes))
+
+    def _heard(self, radio_words: RadioWords, hop: Hop) -> Impairment | None:
+        words = radio_words.get(hop)
+        return None if words is None else self._impairments.of(words)
+
+    def _kill_moments(self, event: Event, kill: Kill) -> Iterator[_Moment]:
+        node, process = kill.node, kill.process
+        killed = partial(_alone, Kind.KILL, f"kill {process} on {node}", KillProcess(node, process))
+        yield _Moment(event.at_s, False, killed)
+        if event.restart_s is not None:
+            started = partial(_alone, Kind.START, f"start {process} on {node}", StartProcess(node, process))
+            yield _Moment(event.at_s + event.restart_s, True, started)
+
+    def _trace_moments(self) -> Iterator[_Moment]:
+        if self._radio_words is None:
+            return
+        rows = [row for row in self._radio_words.later_rows if row.at_s < self._scenario.duration_s]
+        for moment_s, together in groupby(rows, key=lambda row: row.at_s):
+            yield _Moment(moment_s, False, partial(self._trace, self._radio_words, tuple(together)))
+
+    def _trace(self, radio_words: RadioWords, rows: tuple[TraceRow, ...], at_s: float) -> Iterator[Entry]:
+        changes: dict[Pair, Impairment | None] = {}
+        for row in rows:
+            hop = (row.sender, row.receiver)
+            radio_words.apply(row)
+            if (pair := self._places.radio(hop)) is not None:
+                changes[pair] = self._heard(radio_words, hop)
+        plural = "" if len(changes) == 1 else "s"
+        yield Entry(at_s, Kind.TRACE, f"radio trace: {len(changes)} pair{plural}", SetPairs(changes))
+
+
+def _alone(kind: Kind, label: str, action: Action, at_s: float) -> Iterator[Entry]:
+    yield Entry(at_s, kind, label, action)

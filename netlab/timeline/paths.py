@@ -1,0 +1,91 @@
+"""The words of every directed pair of nodes as they change: wires and radios, from the start of the scenario on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from netlab.scenario.model import Scenario
+from netlab.scenario.radio import Radio, TraceRow
+from netlab.scenario.words import Loss, Words
+
+Hop = tuple[str, str]  # (sender, receiver), names of nodes
+
+
+class RadioWords:
+    """How each radio hears each other one. Starts with the rows of the trace up to time 0 applied."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        radio = scenario.radio
+        assert radio is not None
+        #: Words of the pairs that nothing is said about; None means out of range.
+        self.default = _default_words(radio)
+        self._base = Words().laid_over(radio)
+        self._words: dict[Hop, Words] = {}
+        self._out_of_range: set[Hop] = set()
+        for pair in radio.propagation.pairs:
+            for hop in pair.directions:
+                self._words[hop] = pair.laid_over(radio)
+        self.later_rows: tuple[TraceRow, ...] = ()
+        if radio.propagation.file is not None:
+            rows = radio.propagation.file.rows
+            for row in rows:
+                if row.at_s <= 0:
+                    self.apply(row)
+            self.later_rows = tuple(row for row in rows if row.at_s > 0)
+
+    def special_hops(self) -> Iterator[Hop]:
+        """The pairs that have words of their own or are out of range; all others are as ``default`` says."""
+        yield from self._words
+        yield from self._out_of_range - self._words.keys()
+
+    def get(self, hop: Hop) -> Words | None:
+        """The words of one pair now; None when it is out of range."""
+        return None if hop in self._out_of_range else self._words.get(hop, self.default)
+
+    def apply(self, row: TraceRow) -> None:
+        """Let a row of the trace take effect."""
+        hop = (row.sender, row.receiver)
+        if row.loss_ratio == 1.0:
+            self._out_of_range.add(hop)
+        elif row.loss_ratio is not None:
+            self._out_of_range.discard(hop)
+        elif self.get(hop) is None:
+            self._out_of_range.add(hop)
+        self._words[hop] = _row_words(row).laid_over(self._words.get(hop, self.default or self._base))
+
+    def change(self, hop: Hop, words: Words) -> None:
+        """Lay ``words`` over a pair's; this puts it in range."""
+        self._words[hop] = words.laid_over(self._words.get(hop, self.default or self._base))
+        self._out_of_range.discard(hop)
+
+
+class WireWords:
+    """How each wire carries, per direction."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._words: dict[Hop, Words] = {}
+        for wire in scenario.wires():
+            self._words[wire.a, wire.b] = wire.forward
+            self._words[wire.b, wire.a] = wire.backward
+
+    def get(self, hop: Hop) -> Words:
+        """The words of one direction now."""
+        return self._words[hop]
+
+    def change(self, hop: Hop, words: Words) -> None:
+        """Lay ``words`` over a direction's."""
+        self._words[hop] = words.laid_over(self._words[hop])
+
+
+def _default_words(radio: Radio) -> Words | None:
+    if radio.propagation.model == "none":
+        return Words().laid_over(radio)
+    default = radio.propagation.default
+    return None if default is None else default.laid_over(radio)
+
+
+def _row_words(row: TraceRow) -> Words:
+    known: dict[str, object] = {"delay_s": row.delay_s, "rate_bps": row.rate_bps}
+    if row.loss_ratio is not None and row.loss_ratio < 1.0:
+        known["loss"] = Loss.model_construct(ratio=row.loss_ratio)
+    return Words().model_copy(update={name: value for name, value in known.items() if value is not None})
