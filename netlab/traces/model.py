@@ -57,6 +57,11 @@ class Delivery:
     t_ns: int
     size_bytes: int
 
+    @property
+    def latency_s(self) -> float:
+        """From the publish call to here."""
+        return (self.t_ns - self.published_ns) / NS_PER_S
+
 
 @dataclass(frozen=True, slots=True)
 class Fragment:

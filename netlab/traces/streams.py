@@ -64,7 +64,7 @@ def first_deliveries(trace: Trace, stream: int) -> list[Delivery]:
 
 def latencies_s(trace: Trace, stream: int) -> list[float]:
     """Latency of every delivered message, sorted."""
-    return sorted((delivery.t_ns - delivery.published_ns) / NS_PER_S for delivery in first_deliveries(trace, stream))
+    return sorted(delivery.latency_s for delivery in first_deliveries(trace, stream))
 
 
 def stream_report(trace: Trace, stream: Stream) -> StreamReport:
