@@ -73,8 +73,9 @@ def wires(links: Iterable[Link]) -> tuple[Wire, ...]:
     names: dict[frozenset[str], tuple[str, str]] = {}
     words: dict[tuple[str, str], Words] = {}
     for link in sorted(links, key=lambda link: link.between is None):
+        plain = link.laid_over(NO_WORDS)
         for direction in link.directions:
-            words[direction] = link.laid_over(words.get(direction, NO_WORDS))
+            words[direction] = link.laid_over(words[direction]) if direction in words else plain
     for link in links:
         names.setdefault(frozenset(link.ends), link.ends)
     return tuple(Wire(a, b, words.get((a, b), NO_WORDS), words.get((b, a), NO_WORDS)) for a, b in names.values())
