@@ -27,6 +27,8 @@ _INSTEAD = "use `--engine air`, which needs no kernel support"
 class NetemEngine:
     """See :class:`netlab.engines.base.Engine`. Must be brought up in the lab's own network namespace."""
 
+    name = "netem"
+
     def __init__(self, plan: LabPlan) -> None:
         """Lay the plan out.
 
@@ -99,12 +101,8 @@ class NetemEngine:
         self._up()[0].set_peers(sorted(ports), up=up)
 
     def record_verdicts(self, fd: int) -> None:
-        """Refused: the kernel does not tell which frame it dropped.
-
-        Raises:
-            MachineError: Always.
-        """
-        raise MachineError("the netem engine cannot record radio verdicts: the kernel keeps them; use `--engine air`")
+        """Nothing is ever written: the kernel does not tell which frame it dropped, or why. The caller keeps ``fd``."""
+        _log.info("the netem engine cannot record radio verdicts: the kernel keeps them to itself")
 
     def close(self) -> None:
         """Remove the pairs' devices and close this process's descriptors; idempotent."""
@@ -196,6 +194,22 @@ class NetemEngine:
             self._wiring.close()
         self._sock = self._wiring = self._group = None
         self._ifindex = {}
+
+
+def why_not(plan: LabPlan) -> str | None:
+    """Say why this engine cannot run ``plan`` on this kernel, or None; for ``--engine auto``.
+
+    Raises:
+        OSError: No network namespace to try it in.
+    """
+    found = netem_plan.problems(plan)
+    if found:
+        return "; ".join(found)
+    try:
+        choose_classifier(tc_features())
+    except MachineError as error:
+        return str(error)
+    return None
 
 
 def choose_classifier(features: TcFeatures) -> tc.Classifier:

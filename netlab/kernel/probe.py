@@ -9,16 +9,20 @@ import contextlib
 import errno
 import fcntl
 import os
+import pickle
 import socket
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from netlab.kernel import messages, syscalls, tc
 from netlab.kernel import namespaces as netns
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.medium.impairments import PERFECT
+
+Result = TypeVar("Result")
 
 _LO = messages.LOOPBACK_INDEX
 _SOME_MAC = bytes.fromhex("020000000001")
@@ -71,26 +75,43 @@ def explain_userns_denied(proc_sys: Path = _PROC_SYS) -> str:
 
 def in_child(trial: Callable[[], str | None]) -> str | None:
     """Run ``trial`` in a forked child; None if all is well, else its answer, its OSError or how it died."""
+    found: list[str | None] = []
+    problem = in_child_value(trial, found)
+    return problem if problem is not None else found[0]
+
+
+def in_child_value(trial: Callable[[], Result], found: list[Result]) -> str | None:
+    """Run ``trial`` in a forked child and append what it returns (picklable) to ``found``.
+
+    Returns:
+        None if all is well, else its OSError or how it died.
+    """
     reader, writer = os.pipe()
     pid = os.fork()
     if pid == 0:
         try:
             os.close(reader)
-            os.write(writer, (_outcome(trial) or "").encode())
+            with os.fdopen(writer, "wb") as stream:
+                pickle.dump(_outcome(trial), stream)
         finally:
             os._exit(0)
     os.close(writer)
-    with os.fdopen(reader) as stream:
+    with os.fdopen(reader, "rb") as stream:
         answer = stream.read()
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    return f"the trial ended with status {status}" if status else answer or None
+    if status or not answer:
+        return f"the trial ended with status {status} and no answer"
+    problem, value = pickle.loads(answer)
+    if problem is None:
+        found.append(value)
+    return str(problem) if problem is not None else None
 
 
-def _outcome(trial: Callable[[], str | None]) -> str | None:
+def _outcome(trial: Callable[[], Result]) -> tuple[str | None, Result | None]:
     try:
-        return trial()
+        return None, trial()
     except OSError as error:
-        return error.strerror or str(error)
+        return error.strerror or str(error), None
 
 
 def become_lab_root(extra: int = 0) -> None:
