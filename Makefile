@@ -1,0 +1,57 @@
+# Everything sets itself up: `make lab` and `make test` work in a fresh clone.
+# Needs make, python3 (3.11 or newer) and python3-venv; works as root and as an ordinary user.
+
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+SCENARIO ?= topologies/default.yaml
+# Debian packages that some tests compare with; the product itself needs none of them.
+TOOLS  := tcpdump tshark iproute2 iputils-ping
+PYTEST_ARGS ?=
+
+.PHONY: lab test check bench venv tools clean help
+
+help:
+	@echo "make lab     run the interactive lab on SCENARIO ($(SCENARIO))"
+	@echo "make test    run the whole test suite"
+	@echo "make check   ruff and mypy"
+	@echo "make bench   measure the lab itself"
+	@echo "make venv    set up $(VENV) only"
+
+$(STAMP): pyproject.toml
+	@python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed; python3 is $$(python3 -V 2>&1)"; exit 2; }
+	@python3 -m venv $(VENV) || { echo "python3 -m venv failed; on Debian or Ubuntu: sudo apt-get install python3-venv"; exit 2; }
+	@$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,check]'
+	@touch $@
+
+venv: $(STAMP)
+
+lab: $(STAMP)
+	@$(BIN)/netlab lab $(SCENARIO)
+
+test: $(STAMP) tools
+	@$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+
+check: $(STAMP)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+bench: $(STAMP) tools
+	@for bench in tests/bench/bench_*.py; do echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
+
+# Root installs what is missing; an ordinary user is told, and the tests that need it are skipped with that reason.
+tools:
+	@missing=""; for tool in tcpdump tshark ip ping; do PATH="$$PATH:/usr/sbin:/sbin" command -v $$tool >/dev/null 2>&1 || missing="$$missing $$tool"; done; \
+	if [ -n "$$missing" ]; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \
+	    echo "installing Debian packages for the tests: $(TOOLS)"; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(TOOLS) >/dev/null || exit 2; \
+	  else \
+	    echo "missing tools:$$missing; the tests that compare with them are skipped. To run them too:"; \
+	    echo "  sudo apt-get install $(TOOLS)"; \
+	  fi; \
+	fi
+
+clean:
+	rm -rf $(VENV) captures/*.mcap

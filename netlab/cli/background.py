@@ -1,0 +1,177 @@
+"""Labs in the background: `up`, `down`, `ls`, `exec`, `shell`, `link`, `logs`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+import netlab
+from netlab.cli.terminal import exec_with_terminal
+from netlab.errors import LabError
+from netlab.lab import registry
+from netlab.lab.control import ControlClient
+from netlab.lab.launch import LaunchOptions, launch
+from netlab.scenario import load_scenario
+
+lab_option = click.option("--lab", "lab_name", metavar="NAME", help="Which lab, where more than one is running.")
+scenario_options = [
+    click.option("--engine", type=click.Choice(["auto", "air", "netem"]), help="Overrides the scenario's engine."),
+    click.option("--seed", type=int, help="Overrides the scenario's seed."),
+    click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Overrides a key; dotted path."),
+]
+
+
+def with_scenario_options(command: Any) -> Any:
+    """Add the options that `up`, `run` and `lab` share."""
+    for option in reversed(scenario_options):
+        command = option(command)
+    return command
+
+
+def _ask(lab_name: str | None, request: dict[str, Any]) -> dict[str, Any]:
+    connection = ControlClient(registry.find(lab_name).control_socket)
+    try:
+        return connection.request(request)
+    finally:
+        connection.close()
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@with_scenario_options
+@click.option("--capture", type=click.Path(path_type=Path, dir_okay=False), help="Record to this MCAP file.")
+def up(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, ...], capture: Path | None) -> None:
+    """Start FILE's nodes, links and processes in the background; its traffic and events are left to `netlab run`."""
+    scenario = load_scenario(file, overrides=overrides, seed=seed, engine=engine)
+    if capture is not None:
+        capture.parent.mkdir(parents=True, exist_ok=True)
+    options = LaunchOptions(
+        engine=engine or str(scenario.engine),
+        capture=capture.resolve() if capture else None,
+        background=True,
+        keep_visible=(Path(netlab.__file__).parent.parent, Path.cwd()),
+    )
+    lab = launch(scenario, options)
+    click.echo(lab.folder.name)
+
+
+@click.command()
+@click.argument("name", required=False)
+@click.option("--all", "all_labs", is_flag=True, help="Stop every lab of yours.")
+def down(name: str | None, all_labs: bool) -> None:
+    """Stop the lab NAME (or the only one) and wait until nothing of it is left."""
+    for folder in registry.running() if all_labs else [registry.find(name)]:
+        connection = ControlClient(folder.control_socket)
+        connection.request({"do": "down"})
+        connection.close()
+        deadline = time.monotonic() + 10
+        while folder.path in [lab.path for lab in registry.running()]:
+            if time.monotonic() > deadline:
+                raise LabError(f"{folder.name} did not end within 10 s")
+            time.sleep(0.02)
+
+
+@click.command()
+def ls() -> None:
+    """List your running labs: name, phase, scenario time, engine, nodes."""
+    for folder in registry.running():
+        try:
+            connection = ControlClient(folder.control_socket)
+            status = connection.request({"do": "status"}, timeout_s=5.0)
+            connection.close()
+        except LabError as error:
+            click.echo(f"{folder.name}  (does not answer: {error})")
+            continue
+        time_s = "" if status["t_s"] is None else f"  t={status['t_s']:.1f}s"
+        click.echo(
+            f"{folder.name}  {status['phase']}{time_s}  engine={status['engine']}  nodes: {' '.join(status['nodes'])}"
+        )
+
+
+@click.command("exec", context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False})
+@lab_option
+@click.argument("node")
+@click.argument("argv", nargs=-1, required=True, type=click.UNPROCESSED)
+def exec_command(lab_name: str | None, node: str, argv: tuple[str, ...]) -> None:
+    """Run a command in NODE; its exit code is ours. Example: netlab exec robot1 -- ping -c3 base"""
+    command = argv[1:] if argv[0] == "--" else argv
+    connection = ControlClient(registry.find(lab_name).control_socket)
+    request = {"do": "exec", "node": node, "argv": command, "env": _terminal_env(), "cwd": str(Path.cwd())}
+    if sys.stdin.isatty() and sys.stdout.isatty():
+        sys.exit(exec_with_terminal(connection, request))
+    connection.request(request, [0, 1, 2])
+    try:
+        sys.exit(_exit_code(connection.next_reply()["exit"]))
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+    finally:
+        connection.close()  # the lab ends the command when its connection goes
+
+
+@click.command()
+@lab_option
+@click.argument("node")
+def shell(lab_name: str | None, node: str) -> None:
+    """Open your shell in NODE."""
+    connection = ControlClient(registry.find(lab_name).control_socket)
+    argv = [os.environ.get("SHELL") or "/bin/sh"]
+    request = {"do": "exec", "node": node, "argv": argv, "env": _terminal_env(), "cwd": str(Path.cwd())}
+    if sys.stdin.isatty():
+        sys.exit(exec_with_terminal(connection, request))
+    connection.request(request, [0, 1, 2])  # a script on standard input
+    sys.exit(_exit_code(connection.next_reply()["exit"]))
+
+
+@click.command()
+@lab_option
+@click.argument("a")
+@click.argument("b")
+@click.argument("change")
+@click.option("--one-way", is_flag=True, help="Only from A to B.")
+def link(lab_name: str | None, a: str, b: str, change: str, one_way: bool) -> None:
+    """Change the link between A and B: `down`, `up`, or words as in a scenario file: loss=5%,delay=20ms,rate=10mbit"""
+    request: dict[str, Any] = {"between": [a, b], "one_way": one_way}
+    if change in ("down", "up"):
+        if one_way:
+            request |= {"do": "outage", "active": change == "down"}
+        else:
+            request |= {"do": "carrier", "up": change == "up"}
+    else:
+        words = dict(part.partition("=")[::2] for part in change.split(",") if part)
+        request |= {"do": "link", "words": words}
+    _ask(lab_name, request)
+
+
+@click.command()
+@lab_option
+@click.argument("node")
+@click.argument("process", required=False)
+def logs(lab_name: str | None, node: str, process: str | None) -> None:
+    """Print what NODE's processes have written, or only PROCESS."""
+    folder = registry.find(lab_name)
+    directory = folder.logs / node
+    files = sorted(directory.glob("*.log")) if directory.is_dir() else []
+    if process is not None:
+        files = [file for file in files if file.stem == process]
+    if not files:
+        status = _ask(lab_name, {"do": "status"})
+        known = ", ".join(f"{p['node']}/{p['process']}" for p in status["processes"]) or "none"
+        raise LabError(f"no output of {node}{'/' + process if process else ''}; processes: {known}")
+    for file in files:
+        if len(files) > 1:
+            click.echo(f"==> {file.stem} <==")
+        click.echo(file.read_text(errors="replace"), nl=False)
+
+
+def _terminal_env() -> dict[str, str]:
+    return {key: os.environ[key] for key in ("TERM", "LANG", "COLORTERM", "LC_ALL") if key in os.environ}
+
+
+def _exit_code(status: int) -> int:
+    return status if status >= 0 else 128 - status

@@ -1,0 +1,35 @@
+"""Which engine a scenario gets: the one it names, or for `auto` netem where kernel and scenario allow it, else air."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from netlab.engines.air import AirEngine
+from netlab.engines.base import Engine, LabPlan
+from netlab.engines.netem import NetemEngine
+from netlab.kernel.netem import inexpressible
+from netlab.kernel.probe import in_child, tc_features
+from netlab.medium.impairments import Impairment
+
+
+def make_engine(wanted: str, plan: LabPlan, later: Iterable[Impairment]) -> tuple[str, Engine]:
+    """Return the engine's name and the engine, not yet brought up.
+
+    Args:
+        wanted: ``auto``, ``air`` or ``netem``.
+        plan: What to build.
+        later: Impairments that the timeline will set.
+
+    Raises:
+        MachineError: ``netem`` was asked for and cannot express the scenario.
+    """
+    if wanted == "netem" or (wanted == "auto" and _netem_suits(plan, later)):
+        return "netem", NetemEngine(plan)
+    return "air", AirEngine(plan)
+
+
+def _netem_suits(plan: LabPlan, later: Iterable[Impairment]) -> bool:
+    now = (impairment for segment in plan.segments for impairment in segment.pairs.values())
+    if any(inexpressible(impairment) is not None for group in (now, later) for impairment in group):
+        return False
+    return in_child(lambda: tc_features().netem_problem) is None

@@ -1,0 +1,140 @@
+"""Start a supervisor from a user's process and wait until its lab is ready."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from netlab.errors import LabError, MachineError
+from netlab.lab import registry
+from netlab.lab.control import ControlClient
+from netlab.scenario.model import Scenario
+
+START_TIMEOUT_S = 60.0
+STOP_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchOptions:
+    """How to run a scenario, whose source ``scenario_text`` goes into the capture.
+
+    ``capture`` is where the MCAP goes (absolute), None for no recording at all; ``packets`` also records every packet
+    and radio verdict. A lab in the ``background`` outlives the process that started it. ``keep_visible`` are
+    directories that the node's processes must see although they lie below a private directory such as /tmp.
+    """
+
+    engine: str = "auto"
+    scenario_text: str = ""
+    capture: Path | None = None
+    packets: bool = True
+    background: bool = False
+    keep_visible: tuple[Path, ...] = ()
+
+
+class LabProcess:
+    """A running supervisor."""
+
+    def __init__(self, folder: registry.LabFolder, process: subprocess.Popen[bytes], lifeline: int | None) -> None:
+        self.folder = folder
+        self._process = process
+        self._lifeline = lifeline
+
+    @property
+    def pid(self) -> int:
+        """The outer process; ending it ends the lab."""
+        return self._process.pid
+
+    def connect(self) -> ControlClient:
+        """A new control connection."""
+        return ControlClient(self.folder.control_socket)
+
+    def stop(self) -> None:
+        """End the lab and wait until nothing of it is left."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+            try:
+                self._process.wait(STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        if self._lifeline is not None:
+            with contextlib.suppress(OSError):
+                os.close(self._lifeline)
+            self._lifeline = None
+        registry.running()  # removes the folder of the lab that just ended
+
+
+def launch(scenario: Scenario, options: LaunchOptions) -> LabProcess:
+    """Start a lab and return when every interface is up and every process has reported ready.
+
+    Raises:
+        MachineError: This machine cannot run it; the text names the way out.
+        LabError: A process could not start; the text holds its argv, exit code and last log lines.
+    """
+    folder, lock_fd = registry.create(scenario.name)
+    try:
+        (folder.path / "scenario.pickle").write_bytes(pickle.dumps((scenario, options)))
+        ready_read, ready_write = os.pipe()
+        fds = [lock_fd, ready_write]
+        lifeline_write = None
+        arguments = ["--folder", str(folder.path), "--lock-fd", str(lock_fd), "--ready-fd", str(ready_write)]
+        if not options.background:
+            lifeline_read, lifeline_write = os.pipe()
+            fds.append(lifeline_read)
+            arguments += ["--lifeline-fd", str(lifeline_read)]
+        with (folder.path / "supervisor.log").open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "netlab.lab.supervisor", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                pass_fds=fds,
+                start_new_session=True,
+            )
+    finally:
+        os.close(lock_fd)
+    for fd in fds[1:]:
+        os.close(fd)
+    lab = LabProcess(folder, process, lifeline_write)
+    try:
+        _wait_ready(lab, ready_read)
+    except BaseException:
+        lab.stop()
+        raise
+    finally:
+        os.close(ready_read)
+    return lab
+
+
+def _wait_ready(lab: LabProcess, ready_fd: int) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    data = b""
+    while not data.endswith(b"\n"):
+        if not select.select([ready_fd], [], [], max(0.0, deadline - time.monotonic()))[0]:
+            raise LabError(f"the lab was not ready within {START_TIMEOUT_S:.0f} s; its log: {_log_tail(lab.folder)}")
+        part = os.read(ready_fd, 65536)
+        if not part:
+            break
+        data += part
+    if not data.endswith(b"\n"):
+        raise LabError(f"the lab's supervisor ended before the lab was ready; its log: {_log_tail(lab.folder)}")
+    answer = json.loads(data)
+    if "error" in answer:
+        raise (MachineError if answer["kind"] == "machine" else LabError)(answer["error"])
+
+
+def _log_tail(folder: registry.LabFolder) -> str:
+    try:
+        lines = (folder.path / "supervisor.log").read_text(errors="replace").splitlines()
+    except OSError:
+        return "(none)"
+    return "\n    ".join(lines[-15:]) or "(empty)"

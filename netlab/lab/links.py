@@ -1,0 +1,143 @@
+"""The live state of every pair: what the timeline and a person have done to it, forwarded to the engine.
+
+A pair that the timeline and a person both took down comes back when both have let go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import ValidationError
+
+from netlab.engines.base import Engine, LabPlan, Pair
+from netlab.errors import LabError
+from netlab.medium.impairments import Impairment
+from netlab.medium.segments import SegmentKind
+from netlab.scenario.events import LinkChange
+
+_T = TypeVar("_T")
+
+
+class Links:
+    """Impairments, outages and carriers of a running lab."""
+
+    def __init__(self, plan: LabPlan, engine: Engine) -> None:
+        self._plan = plan
+        self._engine = engine
+        self._segment_of = {pair: segment for segment in plan.segments for pair in _all_pairs(segment.ports)}
+        self._impairments: dict[Pair, Impairment | None] = {
+            pair: segment.pairs.get(pair) for pair, segment in self._segment_of.items()
+        }
+        self._out: dict[str, set[Pair]] = {}  # who holds which pairs down
+        self._unplugged: dict[str, set[int]] = {}  # who holds which ports without carrier
+
+    def impairment(self, pair: Pair) -> Impairment | None:
+        """What the pair does to frames now; None is out of range."""
+        return self._impairments[pair]
+
+    def set_pairs(self, changes: dict[Pair, Impairment | None]) -> None:
+        """Change pairs."""
+        self._impairments.update(changes)
+        self._engine.set_pairs(changes)
+
+    def set_outage(self, holder: str, pairs: set[Pair], *, active: bool) -> None:
+        """Take pairs down silently on behalf of ``holder``, or let go of them."""
+        before = _held(self._out)
+        held = self._out.setdefault(holder, set())
+        held.update(pairs) if active else held.difference_update(pairs)
+        after = _held(self._out)
+        if after - before:
+            self._engine.set_outage(after - before, active=True)
+        if before - after:
+            self._engine.set_outage(before - after, active=False)
+
+    def set_carrier(self, holder: str, ports: set[int], *, up: bool) -> None:
+        """Pull or plug cables on behalf of ``holder``."""
+        before = _held(self._unplugged)
+        held = self._unplugged.setdefault(holder, set())
+        held.difference_update(ports) if up else held.update(ports)
+        after = _held(self._unplugged)
+        if after - before:
+            self._engine.set_carrier(after - before, up=False)
+        if before - after:
+            self._engine.set_carrier(before - after, up=True)
+
+    def between(self, a: str, b: str, *, one_way: bool = False) -> tuple[set[Pair], SegmentKind]:
+        """The pairs that join two nodes: their wire's if there is one, else their radios'.
+
+        Raises:
+            LabError: Unknown node, or nothing joins them; says what does.
+        """
+        for node in (a, b):
+            if node not in self._plan.nodes:
+                raise LabError(f"there is no node '{node}'; nodes are {', '.join(self._plan.nodes)}")
+        wanted = {(a, b)} if one_way else {(a, b), (b, a)}
+        by_kind: dict[SegmentKind, set[Pair]] = {}
+        for pair, segment in self._segment_of.items():
+            if self._names(pair) in wanted:
+                by_kind.setdefault(segment.kind, set()).add(pair)
+        for kind in (SegmentKind.WIRE, SegmentKind.RADIO):
+            if kind in by_kind:
+                return by_kind[kind], kind
+        joined = sorted({self._names(pair)[1] for pair in self._segment_of if self._names(pair)[0] == a})
+        raise LabError(f"no link joins '{a}' and '{b}'; '{a}' is linked to {', '.join(joined) or 'nothing'}")
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Every directed pair that is or was in range, as plain values."""
+        out, unplugged = _held(self._out), _held(self._unplugged)
+        rows = []
+        for pair, impairment in self._impairments.items():
+            if impairment is None and pair not in self._segment_of[pair].pairs:
+                continue
+            state = "up"
+            if impairment is None:
+                state = "out_of_range"
+            elif pair in out:
+                state = "outage"
+            elif unplugged & set(pair):
+                state = "no_carrier"
+            sender, receiver = self._names(pair)
+            rows.append(
+                {
+                    "segment": self._segment_of[pair].name,
+                    "from": sender,
+                    "to": receiver,
+                    "state": state,
+                    "impairment": asdict(impairment) if impairment is not None else None,
+                }
+            )
+        return rows
+
+    def _names(self, pair: Pair) -> tuple[str, str]:
+        return self._plan.ports[pair[0]].node, self._plan.ports[pair[1]].node
+
+
+def _held(holders: dict[str, set[_T]]) -> set[_T]:
+    return set().union(*holders.values())
+
+
+def _all_pairs(ports: tuple[int, ...]) -> list[Pair]:
+    return [(sender, receiver) for sender in ports for receiver in ports if sender != receiver]
+
+
+def parse_words(a: str, b: str, words: Mapping[str, str]) -> LinkChange:
+    """Read impairment words as a scenario file's `link` event would.
+
+    Raises:
+        LabError: With every wrong word and what to do.
+    """
+    try:
+        values = {key: yaml.safe_load(value) for key, value in words.items()}
+        return LinkChange.model_validate({"between": [a, b], **values})
+    except yaml.YAMLError as error:
+        raise LabError(f"link {a} {b}: {error}") from None
+    except ValidationError as error:
+        problems = [f"{'.'.join(map(str, p['loc']))}: {_without_prefix(p['msg'])}" for p in error.errors()]
+        raise LabError("\n".join(f"link {a} {b}: {problem.removeprefix(': ')}" for problem in problems)) from None
+
+
+def _without_prefix(message: str) -> str:
+    return message.removeprefix("Value error, ")

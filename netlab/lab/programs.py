@@ -1,0 +1,119 @@
+"""What to run in each node of a scenario: daemons with their configuration, the user's own programs, traffic."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from netlab.engines.base import LabPlan
+from netlab.lab.processes import ProcessSpec, Restart
+from netlab.lab.traffic import StreamSpec, encode_streams
+from netlab.scenario.model import Scenario
+
+DISCOVERY_LIMIT_S = 10.0
+SOURCE = "traffic-source"
+SINK = "traffic-sink"
+
+
+def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessSpec]:
+    """The scenario's own processes of a node; writes the configuration that they need below ``folder``."""
+    specs = []
+    for process in scenario.nodes[node].processes:
+        if process.builtin == "udp_mesh":
+            config = folder / f"{node}.udp_mesh.toml"
+            config.write_text(tomli_w.dumps(daemon_config(scenario, node)))
+            argv: tuple[str, ...] = ("udp-mesh-daemon", "--config", str(config))
+            argv += ("--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}")
+        else:
+            assert process.argv is not None  # the model: builtin or argv
+            argv = process.argv
+        specs.append(
+            ProcessSpec(
+                node=node,
+                name=process.name,
+                argv=argv,
+                env=process.env,
+                waits_for_ready=process.ready == "fd",
+                restart=Restart(process.restart),
+            )
+        )
+    return specs
+
+
+def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
+    """The udp_mesh daemon's configuration in one node: the scenario's settings and every topic of its traffic."""
+    settings = scenario.mesh_settings(node)
+    topics: dict[str, dict[str, Any]] = {}
+    for entry in scenario.traffic:
+        topic: dict[str, Any] = {
+            "priority": entry.priority,
+            "reliability": entry.reliability,
+            "keep": entry.keep,
+            "offline": entry.offline,
+        }
+        if entry.lifetime_s is not None:
+            topic["lifetime_s"] = entry.lifetime_s
+        topics[entry.topic] = topic
+    for name, given in settings.pop("topics", {}).items():
+        topics[name] = topics.get(name, {}) | given
+    return {"name": node, **settings, "topics": topics}
+
+
+def streams(scenario: Scenario) -> list[StreamSpec]:
+    """The scenario's streams, numbered as in ``Scenario.streams``."""
+    first: dict[int, int] = {}
+    for stream in scenario.streams():
+        first.setdefault(stream.entry, stream.index)
+    return [
+        StreamSpec(
+            stream=stream.index,
+            publication=first[stream.entry] if isinstance(scenario.traffic[stream.entry].to, str) else stream.index,
+            to_all=isinstance(scenario.traffic[stream.entry].to, str),
+            source=stream.source,
+            destination=stream.destination,
+            topic=stream.topic,
+            size_bytes=scenario.traffic[stream.entry].size_bytes,
+            interval_s=1.0 / scenario.traffic[stream.entry].rate_hz,
+        )
+        for stream in scenario.streams()
+    ]
+
+
+def traffic_sinks(scenario: Scenario) -> list[ProcessSpec]:
+    """One sink process per node that receives."""
+    by_node: dict[str, list[StreamSpec]] = {}
+    for stream in streams(scenario):
+        by_node.setdefault(stream.destination, []).append(stream)
+    return [_traffic(node, SINK, own, []) for node, own in by_node.items()]
+
+
+def traffic_sources(scenario: Scenario, plan: LabPlan) -> list[ProcessSpec]:
+    """One source process per node that publishes; each waits for the destinations that its radios and wires reach."""
+    by_node: dict[str, list[StreamSpec]] = {}
+    for stream in streams(scenario):
+        by_node.setdefault(stream.source, []).append(stream)
+    specs = []
+    for node, own in by_node.items():
+        reachable = neighbours(plan, node) & {stream.destination for stream in own}
+        extra = ["--seed", str(plan.seed), "--discovery-s", str(DISCOVERY_LIMIT_S)]
+        extra += ["--await-peers", ",".join(sorted(reachable))]
+        specs.append(_traffic(node, SOURCE, own, extra))
+    return specs
+
+
+def neighbours(plan: LabPlan, node: str) -> set[str]:
+    """Nodes that share a segment with ``node`` and are in range in both directions."""
+    found = set()
+    for segment in plan.segments:
+        for sender, receiver in segment.pairs:
+            if plan.ports[sender].node == node and (receiver, sender) in segment.pairs:
+                found.add(plan.ports[receiver].node)
+    return found
+
+
+def _traffic(node: str, name: str, own: list[StreamSpec], extra: list[str]) -> ProcessSpec:
+    argv = [f"netlab-{name}", "--streams", encode_streams(own), "--ready-fd", "{ready_fd}"]
+    argv += ["--events-fd", "{events_fd}", "--command-fd", "{command_fd}", *extra]
+    return ProcessSpec(node=node, name=name, argv=tuple(argv), waits_for_ready=True)

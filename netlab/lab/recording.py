@@ -1,0 +1,127 @@
+"""The supervisor's side of the capture: starts the recorder, opens feeds for processes, writes the lab's own topics.
+
+Without a capture every method is a no-op, so that nobody else has to ask.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from netlab.capture.handle import Recorder
+from netlab.capture.messages import RecorderStats
+from netlab.ipc import Channel
+from netlab.lab.processes import ProcessSpec, feed_pair
+
+
+class Recording:
+    """One run's recording, or none (``Recording(None)``)."""
+
+    def __init__(self, recorder: Recorder | None) -> None:
+        self._recorder = recorder
+        self._log_feeds: dict[tuple[str, str], int] = {}
+        self.lines_dropped = 0
+
+    @classmethod
+    def start(cls, path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes], nodes: int) -> Recording:
+        """Start the recorder's process and create the file.
+
+        Raises:
+            CaptureError: The file cannot be created.
+        """
+        ours, theirs = Channel.pair()
+        os.posix_spawn(
+            sys.executable,
+            [sys.executable, "-m", "netlab.capture.recorder", "--channel-fd", "3"],
+            os.environ,
+            file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), 3)],
+        )
+        theirs.close()
+        recorder = Recorder(ours)
+        recorder.open(str(path), metadata, attachments, nodes=nodes)
+        return cls(recorder)
+
+    @property
+    def active(self) -> bool:
+        """Whether anything is recorded."""
+        return self._recorder is not None
+
+    def add_node(self, node: str, net_fd: int, interfaces: list[str]) -> None:
+        """Record all packets at a node's interfaces."""
+        if self._recorder is not None:
+            self._recorder.add_interfaces(node, net_fd, interfaces)
+
+    def add_verdicts(self) -> int | None:
+        """A stream for the medium's verdicts; the caller gives it to the engine and closes it."""
+        return self._feed("verdicts", "/air/verdicts", "", "air")
+
+    def open_events(self, spec: ProcessSpec) -> int | None:
+        """The events stream of a process that is about to start."""
+        topics = {
+            "traffic-source": f"/{spec.node}/traffic/published",
+            "traffic-sink": f"/{spec.node}/traffic/received",
+        }
+        topic = topics.get(spec.name, f"/{spec.node}/{spec.name}/events")
+        return self._feed("events", topic, spec.node, spec.name)
+
+    def line(self, node: str, process: str, text: str) -> None:
+        """Record a line of output; a recorder that cannot keep up loses lines, and they are counted."""
+        if self._recorder is None:
+            return
+        key = (node, process)
+        if key not in self._log_feeds:
+            feed = self._feed("log", f"/{node}/log/{process}", node, process)
+            assert feed is not None  # the recorder exists
+            os.set_blocking(feed, False)
+            self._log_feeds[key] = feed
+        try:
+            os.write(self._log_feeds[key], text.encode() + b"\n")
+        except OSError:
+            self.lines_dropped += 1
+
+    def timeline(self, kind: str, label: str, *, at_s: float | None, **more: Any) -> None:
+        """Record an act on the lab, stamped now."""
+        self._message("/timeline", {"kind": kind, "label": label, "at_s": at_s, **more})
+
+    def links(self, rows: list[dict[str, Any]]) -> None:
+        """Record the state of links, stamped now."""
+        for row in rows:
+            self._message("/links", row)
+
+    def set_t0(self, t0_ns: int) -> None:
+        """Declare scenario time zero."""
+        if self._recorder is not None:
+            self._recorder.set_t0(t0_ns)
+
+    def sync(self) -> None:
+        """Wait until all that was asked for is recorded from now on. Raises CaptureError."""
+        if self._recorder is not None:
+            self._recorder.sync()
+
+    def notices(self) -> list[str]:
+        """What the recorder has to say, such as a full disk."""
+        return self._recorder.notices() if self._recorder is not None else []
+
+    def close(self) -> RecorderStats | None:
+        """Finish the file; None where nothing was recorded."""
+        for feed in self._log_feeds.values():
+            os.close(feed)
+        self._log_feeds.clear()
+        recorder, self._recorder = self._recorder, None
+        return recorder.close() if recorder is not None else None
+
+    def _feed(self, kind: str, topic: str, node: str, process: str) -> int | None:
+        if self._recorder is None:
+            return None
+        theirs, ours = feed_pair()
+        self._recorder.add_feed(kind, topic, node, process, theirs)
+        os.close(theirs)
+        return ours
+
+    def _message(self, topic: str, payload: dict[str, Any]) -> None:
+        if self._recorder is not None:
+            self._recorder.message(topic, payload, time.time_ns())

@@ -1,0 +1,226 @@
+"""One run of a scenario in a lab that is up: discovery, t = 0, events and traffic, drain, end.
+
+Theory. t = 0 is when every process is ready and each traffic source has discovered the destinations it can reach, at
+most ``DISCOVERY_LIMIT_S`` after it was started. Traffic is published in [0, duration); one second of drain follows.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import time
+from enum import StrEnum
+from typing import Any
+
+from netlab.engines.base import LabPlan
+from netlab.errors import LabError
+from netlab.lab.links import Links
+from netlab.lab.processes import Process, Processes, ProcessSpec, State, describe_status
+from netlab.lab.programs import DISCOVERY_LIMIT_S, traffic_sinks, traffic_sources
+from netlab.lab.recording import Recording
+from netlab.scenario.model import Scenario
+from netlab.timeline import (
+    Action,
+    KillProcess,
+    SetCarrier,
+    SetOutage,
+    SetPairs,
+    StartProcess,
+    compile_timeline,
+)
+
+DRAIN_S = 1.0
+_START_LEAD_NS = 30_000_000  # so that every source has the start command before t = 0
+READY_LIMIT_S = 20.0
+
+
+class Phase(StrEnum):
+    """How far a lab's scenario has come."""
+
+    READY = "ready"
+    DISCOVERING = "discovering"
+    RUNNING = "running"
+    DRAINING = "draining"
+    FINISHED = "finished"
+
+
+class ScenarioRun:
+    """Runs a scenario once. ``streams`` holds the live figures of each stream by number."""
+
+    def __init__(
+        self, scenario: Scenario, plan: LabPlan, links: Links, processes: Processes, recording: Recording
+    ) -> None:
+        self._scenario = scenario
+        self._plan = plan
+        self._links = links
+        self._processes = processes
+        self._recording = recording
+        self.phase = Phase.READY
+        self.t0_ns: int | None = None
+        self.problems: list[str] = []
+        self.streams: dict[int, dict[str, Any]] = {}
+        self._phase_changed = asyncio.Event()
+        self._started = asyncio.Event()
+
+    @property
+    def t_s(self) -> float | None:
+        """Scenario time, None before t = 0."""
+        return None if self.t0_ns is None else (time.time_ns() - self.t0_ns) / 1e9
+
+    async def run(self) -> None:
+        """Run to the end; a failure to start traffic is raised.
+
+        Raises:
+            LabError: A traffic process could not start.
+        """
+        self._enter(Phase.DISCOVERING)
+        sources, sinks = await self._start_traffic()
+        self.t0_ns = time.time_ns() + _START_LEAD_NS
+        self._recording.set_t0(self.t0_ns)
+        self._recording.links(self._links.describe())
+        start = {"t0_ns": self.t0_ns, "duration_s": self._scenario.duration_s}
+        for process in sources:
+            _send(process, start)
+        await self._sleep_until(0.0)
+        self._recording.timeline("start", "t = 0", at_s=0.0)
+        self._enter(Phase.RUNNING)
+        self._started.set()
+        for entry in compile_timeline(self._scenario, self._plan):
+            await self._sleep_until(entry.at_s)
+            await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, restores=entry.restores)
+        await self._sleep_until(self._scenario.duration_s)
+        self._recording.timeline("end", "the scenario's duration is over", at_s=self._scenario.duration_s)
+        self._enter(Phase.DRAINING)
+        await self._sleep_until(self._scenario.duration_s + DRAIN_S)
+        await self._stop_traffic(sources, sinks)
+
+    async def wait_for_phase(self, phase: Phase) -> None:
+        """Return when that phase has been reached."""
+        while self.phase is not phase:
+            changed = self._phase_changed
+            await changed.wait()
+
+    async def wait_until(self, at_s: float) -> None:
+        """Return at a scenario time."""
+        await self._started.wait()
+        await self._sleep_until(at_s)
+
+    def finish(self) -> None:
+        """Mark the end, after the capture has been closed."""
+        self._enter(Phase.FINISHED)
+
+    async def apply(
+        self, action: Action, kind: str, label: str, *, at_s: float | None, restores: tuple[str, str] | None = None
+    ) -> None:
+        """Do one timeline action and record it."""
+        match action:
+            case SetPairs(changes):
+                self._links.set_pairs(dict(changes))
+            case SetOutage(pairs, active):
+                self._links.set_outage("timeline", set(pairs), active=active)
+            case SetCarrier(ports, up):
+                self._links.set_carrier("timeline", set(ports), up=up)
+            case KillProcess(node, process):
+                self._processes.stop(self._processes.get(node, process), signal.SIGKILL)
+            case StartProcess(node, process):
+                await self.start_process(node, process)
+        self._recording.timeline(kind, label, at_s=at_s, restores=list(restores) if restores else None)
+        if isinstance(action, SetPairs | SetOutage | SetCarrier):
+            self._recording.links(self._links.describe())
+
+    async def start_process(self, node: str, name: str) -> None:
+        """Start a process again that was killed or ended; a failure is a problem of the run, not its end."""
+        process = self._processes.get(node, name)
+        if process.state is not State.EXITED:
+            await wait_for_state(process, State.EXITED, 5.0)
+        try:
+            self._processes.start(process.spec)
+        except LabError as error:
+            self.problems.append(str(error))
+
+    def process_ended(self, process: Process) -> None:
+        """A process ended; unless that was asked for, it is a problem that the run reports."""
+        status = process.exit_status if process.exit_status is not None else 0
+        text = f"{process.spec.node}: {process.spec.name} {describe_status(status)}"
+        self._recording.timeline("exit", text, at_s=self.t_s)
+        if not process.stopping and status != 0:
+            self.problems.append(process.describe_failure())
+
+    async def _start_traffic(self) -> tuple[list[Process], list[Process]]:
+        sinks = await self._start_ready(traffic_sinks(self._scenario), READY_LIMIT_S)
+        specs = traffic_sources(self._scenario, self._plan)
+        return await self._start_ready(specs, DISCOVERY_LIMIT_S + READY_LIMIT_S), sinks
+
+    async def _start_ready(self, specs: list[ProcessSpec], limit_s: float) -> list[Process]:
+        started = [self._processes.start(spec) for spec in specs]
+        for process in started:
+            assert process.command is not None  # traffic processes take commands
+            asyncio.get_running_loop().add_reader(process.command.fileno(), self._on_report, process)
+        await wait_ready(started, limit_s)
+        return started
+
+    def _on_report(self, process: Process) -> None:
+        assert process.command is not None
+        try:
+            data = process.command.recv(1 << 18)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            asyncio.get_running_loop().remove_reader(process.command.fileno())
+            return
+        for row in json.loads(data):
+            self.streams.setdefault(row["stream"], {}).update(row)
+
+    async def _stop_traffic(self, sources: list[Process], sinks: list[Process]) -> None:
+        for process in sinks:
+            _send(process, {"stop": True})
+        for process in (*sources, *sinks):
+            process.stopping = True
+            try:
+                await wait_for_state(process, State.EXITED, 2.0)
+            except LabError:
+                self._processes.stop(process, signal.SIGKILL)
+
+    async def _sleep_until(self, at_s: float) -> None:
+        assert self.t0_ns is not None
+        deadline_ns = self.t0_ns + round(at_s * 1e9)
+        while (left_s := (deadline_ns - time.time_ns()) / 1e9) > 0:
+            await asyncio.sleep(left_s)
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        self._phase_changed.set()
+        self._phase_changed = asyncio.Event()
+
+
+async def wait_ready(processes: list[Process], limit_s: float) -> None:
+    """Return when all are ready.
+
+    Raises:
+        LabError: One ended first, or is not ready in time; with its argv, exit code and last log lines.
+    """
+    for process in processes:
+        await wait_for_state(process, State.READY, limit_s)
+
+
+async def wait_for_state(process: Process, state: State, limit_s: float) -> None:
+    """Return when a process has come into ``state``. Raises LabError when it ended instead, or at the limit."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(limit_s):
+            while process.state is not state:
+                if process.state is State.EXITED:
+                    await asyncio.sleep(0.05)  # its last words are still in the pipe
+                    raise LabError(process.describe_failure())
+                await process.changed.wait()
+    if process.state is not state:
+        raise LabError(f"not {state} within {limit_s:.0f} s: {process.describe_failure()}")
+
+
+def _send(process: Process, message: dict[str, Any]) -> None:
+    if process.command is not None:
+        with contextlib.suppress(OSError):  # a process that is gone shows in its exit status
+            process.command.send(json.dumps(message).encode())

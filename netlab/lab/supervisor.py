@@ -1,0 +1,347 @@
+"""The lab's PID 1: builds the lab, starts its processes, serves the control socket, ends everything.
+
+Started by ``netlab.lab.launch``. It reads the scenario from its folder, brings the engine up, starts the recorder and
+the fork server, waits until every process has reported ready and says so on the ready descriptor. From then on it does
+what the control socket asks. It ends on SIGTERM and on ``down``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import pickle
+import signal
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from netlab.capture.metadata import run_metadata
+from netlab.engines.choose import make_engine
+from netlab.engines.plan import compile_plan, hosts
+from netlab.errors import LabError, MachineError, NetlabError
+from netlab.ipc import Channel
+from netlab.kernel import syscalls
+from netlab.lab.box import run_in_box
+from netlab.lab.control import Connection, ControlServer, Reply, Request
+from netlab.lab.isolation import keep_paths
+from netlab.lab.launch import LaunchOptions
+from netlab.lab.links import Links, parse_words
+from netlab.lab.processes import Processes, State, kill_group
+from netlab.lab.programs import node_processes
+from netlab.lab.recording import Recording
+from netlab.lab.registry import LabFolder
+from netlab.lab.scenario_run import READY_LIMIT_S, Phase, ScenarioRun, wait_for_state, wait_ready
+from netlab.medium.impairments import PERFECT
+from netlab.medium.segments import SegmentKind
+from netlab.scenario.model import Scenario
+from netlab.timeline import Kind, SetPairs, compile_timeline
+from netlab.timeline.impairments import impairment
+
+
+class Supervisor:
+    """One lab. ``build`` makes it, ``serve`` keeps it until it is told to end."""
+
+    def __init__(self, folder: LabFolder, scenario: Scenario, options: LaunchOptions) -> None:
+        self._folder = folder
+        self._scenario = scenario
+        self._options = options
+        self._plan = compile_plan(scenario)
+        self._ending = asyncio.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._bring_up_s = 0.0
+        self._recorder_stats: dict[str, Any] | None = None
+        self._notices: list[str] = []
+
+    # -- building -------------------------------------------------------------------------------------------------
+
+    async def build(self) -> None:
+        """Bring everything up. Raises NetlabError with a text for a person."""
+        loop = asyncio.get_running_loop()
+        for signum in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            loop.add_signal_handler(signum, self._ending.set)
+        loop.add_signal_handler(signal.SIGCHLD, _reap_orphans)
+        later = [
+            change
+            for entry in compile_timeline(self._scenario, self._plan)
+            if isinstance(entry.action, SetPairs)
+            for change in entry.action.changes.values()
+            if change is not None
+        ]
+        self._engine_name, self._engine = make_engine(self._options.engine, self._plan, later)
+        channel = self._start_spawner()
+        started = time.perf_counter()
+        self._engine.bring_up()
+        self._bring_up_s = time.perf_counter() - started
+        self._recording = self._start_recording()
+        self._processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
+        self._processes.open_events = self._recording.open_events
+        self._processes.on_line = self._recording.line
+        self._links = Links(self._plan, self._engine)
+        self._run = ScenarioRun(self._scenario, self._plan, self._links, self._processes, self._recording)
+        self._processes.on_exit = self._run.process_ended
+        text = "127.0.0.1 localhost\n::1 localhost\n" + "".join(f"{a} {n}\n" for a, n in hosts(self._plan))
+        keep = keep_paths(sys.prefix, sys.base_prefix, self._folder.path, *self._options.keep_visible)
+        for node in self._plan.nodes:
+            self._processes.add_node(node, self._engine.namespace_fds[node], text, keep)
+        specs = [spec for node in self._plan.nodes for spec in node_processes(self._scenario, node, self._folder.path)]
+        await wait_ready([self._processes.start(spec) for spec in specs], READY_LIMIT_S)
+        self._control = ControlServer(self._folder.control_socket, self.handle)
+
+    def _start_spawner(self) -> Channel:
+        ours, theirs = Channel.pair()
+        os.posix_spawn(
+            sys.executable,
+            [sys.executable, "-m", "netlab.lab.spawner", "3"],
+            os.environ,
+            file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), 3)],
+        )
+        theirs.close()
+        return ours
+
+    def _start_recording(self) -> Recording:
+        if self._options.capture is None:
+            return Recording(None)
+        streams = self._scenario.streams()
+        traffic = self._scenario.traffic
+        metadata = run_metadata(
+            scenario_text=self._options.scenario_text,
+            engine=self._engine_name,
+            clock="real",
+            duration_s=self._scenario.duration_s,
+            plan=self._plan,
+            streams=streams,
+            kept_latest=[stream.index for stream in streams if traffic[stream.entry].offline == "latest"],
+        )
+        recording = Recording.start(self._options.capture, metadata, {}, len(self._plan.nodes))
+        if self._options.packets:
+            for node in self._plan.nodes:
+                interfaces = [port.ifname for port in self._plan.ports if port.node == node]
+                recording.add_node(node, self._engine.namespace_fds[node], interfaces)
+            verdicts = recording.add_verdicts()
+            if verdicts is not None:
+                self._engine.record_verdicts(verdicts)
+                os.close(verdicts)
+        recording.sync()
+        return recording
+
+    # -- serving --------------------------------------------------------------------------------------------------
+
+    async def serve(self) -> None:
+        """Return when the lab is to end; everything is stopped then."""
+        while not self._ending.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._ending.wait(), 0.5)
+            self._notices += self._recording.notices()
+        self.close()
+
+    def close(self) -> None:
+        """Stop processes and finish the capture; the rest goes with PID 1."""
+        for process in self._processes.all():
+            self._processes.stop(process)
+        self._close_recording()
+        self._engine.close()
+
+    async def handle(self, request: Request, fds: list[int], connection: Connection) -> Reply | None:
+        """Answer one control request; its ``do`` names a method ``_do_...``.
+
+        Raises:
+            LabError: Unknown request, or it cannot be done.
+        """
+        method = getattr(self, f"_do_{request.get('do')}", None)
+        if method is None:
+            raise LabError(f"unknown request {request.get('do')!r}")
+        reply: Reply | None = await method(request, fds, connection)
+        return reply
+
+    async def _do_status(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        return {
+            "name": self._folder.name,
+            "scenario": self._scenario.name,
+            "seed": self._plan.seed,
+            "engine": self._engine_name,
+            "phase": self._run.phase,
+            "t_s": self._run.t_s,
+            "t0_ns": self._run.t0_ns,
+            "duration_s": self._scenario.duration_s,
+            "bring_up_s": self._bring_up_s,
+            "nodes": list(self._plan.nodes),
+            "processes": [
+                {
+                    "node": process.spec.node,
+                    "process": process.spec.name,
+                    "state": process.state,
+                    "pid": process.pid,
+                    "exit_status": process.exit_status,
+                    "restarts": process.restarts,
+                }
+                for process in self._processes.all()
+            ],
+            "links": [{key: row[key] for key in ("from", "to", "state")} for row in self._links.describe()],
+            "streams": self._run.streams,
+            "problems": self._run.problems,
+            "notices": self._notices,
+            "capture": str(self._options.capture) if self._options.capture else None,
+            "recorder": self._recorder_stats,
+        }
+
+    async def _do_run(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        if self._run.phase is not Phase.READY:
+            raise LabError(f"this lab's scenario is {self._run.phase} already; start another lab")
+        task = asyncio.create_task(self._run_scenario())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        begun = asyncio.create_task(self._run.wait_until(0.0))
+        await asyncio.wait({task, begun}, return_when=asyncio.FIRST_COMPLETED)
+        begun.cancel()
+        if task.done():
+            task.result()  # raises what kept it from beginning
+        return {"ok": True, "t0_ns": self._run.t0_ns}
+
+    async def _run_scenario(self) -> None:
+        await self._run.run()
+        self._close_recording()
+        self._run.finish()
+
+    async def _do_wait(self, request: Request, fds: list[int], connection: Connection) -> Reply:
+        if "at_s" in request:
+            await self._run.wait_until(float(request["at_s"]))
+        else:
+            await self._run.wait_for_phase(Phase(request["phase"]))
+        return await self._do_status(request, fds, connection)
+
+    async def _do_exec(self, request: Request, fds: list[int], connection: Connection) -> None:
+        node, argv = request["node"], tuple(request["argv"])
+        if node not in self._plan.nodes:
+            raise LabError(f"there is no node '{node}'; nodes are {', '.join(self._plan.nodes)}")
+        if len(fds) != 3:
+            raise LabError("exec takes three descriptors")
+        tty = bool(request.get("tty"))
+        pid, ended = self._processes.execute(node, argv, request.get("env", {}), request["cwd"], fds, tty=tty)
+        connection.send({"pid": pid})
+        connection.on_close = lambda: _hang_up(pid, ended)
+        status = await ended
+        connection.on_close = lambda: None
+        connection.send({"exit": status})
+
+    async def _do_outage(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        a, b = request["between"]
+        pairs, _kind = self._links.between(a, b, one_way=bool(request.get("one_way")))
+        active = bool(request["active"])
+        self._links.set_outage("person", pairs, active=active)
+        self._record_act("outage", f"outage {a}-{b} {'begins' if active else 'ends'}", None if active else (a, b))
+        return {"ok": True}
+
+    async def _do_carrier(self, request: Request, fds: list[int], connection: Connection) -> Reply:
+        a, b = request["between"]
+        pairs, kind = self._links.between(a, b)
+        if kind is not SegmentKind.WIRE:
+            return await self._do_outage(request | {"active": not request["up"]}, fds, connection)
+        up = bool(request["up"])
+        self._links.set_carrier("person", {port for pair in pairs for port in pair}, up=up)
+        self._record_act("carrier", f"link {a}-{b} {'up' if up else 'down'}", (a, b) if up else None)
+        return {"ok": True}
+
+    async def _do_link(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        a, b = request["between"]
+        pairs, _kind = self._links.between(a, b, one_way=bool(request.get("one_way")))
+        words = parse_words(a, b, request["words"])
+        changes = {pair: impairment(words, self._links.impairment(pair) or PERFECT) for pair in pairs}
+        label = f"link {a}-{b}: " + ", ".join(f"{key}={value}" for key, value in request["words"].items())
+        await self._run.apply(SetPairs(changes), Kind.LINK, label, at_s=self._run.t_s)
+        return {"ok": True}
+
+    async def _do_kill(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        process = self._processes.get(request["node"], request["process"])
+        self._processes.stop(process, signal.SIGKILL)
+        await wait_for_state(process, State.EXITED, 5.0)
+        return {"ok": True}
+
+    async def _do_start(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        process = self._processes.get(request["node"], request["process"])
+        if process.state is not State.EXITED:
+            raise LabError(f"{request['node']}: {request['process']} is {process.state} already")
+        self._processes.start(process.spec)
+        await wait_ready([process], READY_LIMIT_S)
+        return {"ok": True}
+
+    async def _do_down(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        asyncio.get_running_loop().call_later(0.01, self._ending.set)  # after the answer is out
+        return {"ok": True}
+
+    def _record_act(self, kind: str, label: str, restores: tuple[str, str] | None) -> None:
+        self._recording.timeline(kind, label, at_s=self._run.t_s, restores=list(restores) if restores else None)
+        self._recording.links(self._links.describe())
+
+    def _close_recording(self) -> None:
+        stats = self._recording.close()
+        if stats is not None:
+            self._recorder_stats = asdict(stats)
+
+
+def _node_environment() -> dict[str, str]:
+    """The user's environment, with this installation's programs first and without the host's runtime directory."""
+    env = {key: value for key, value in os.environ.items() if key not in ("XDG_RUNTIME_DIR", "UDP_MESH_SOCKET")}
+    env["PATH"] = f"{Path(sys.executable).parent}:{env.get('PATH', '/usr/bin:/bin')}:/usr/sbin:/sbin"
+    return env
+
+
+def _reap_orphans() -> None:
+    """PID 1 inherits what daemons leave behind."""
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+
+
+def _hang_up(pid: int, ended: asyncio.Future[int]) -> None:
+    """The one who ran the command is gone: as when a terminal closes, and no later."""
+    if not ended.done():
+        kill_group(pid, signal.SIGHUP)
+        kill_group(pid, signal.SIGKILL)
+
+
+def _say(ready_fd: int, answer: dict[str, Any]) -> None:
+    os.write(ready_fd, json.dumps(answer).encode() + b"\n")
+    os.close(ready_fd)
+
+
+async def _main(folder: LabFolder, ready_fd: int) -> int:
+    scenario, options = pickle.loads((folder.path / "scenario.pickle").read_bytes())
+    try:
+        supervisor = Supervisor(folder, scenario, options)
+        await supervisor.build()
+    except NetlabError as error:
+        _say(ready_fd, {"error": str(error), "kind": "machine" if isinstance(error, MachineError) else "lab"})
+        return 1
+    _say(ready_fd, {"ok": True})
+    await supervisor.serve()
+    return 0
+
+
+def main(argv: list[str]) -> int:
+    """Enter the box and run the lab in it."""
+    parser = argparse.ArgumentParser(prog="netlab-supervisor")
+    parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--lock-fd", type=int, required=True)  # held open, never used: the folder is ours while we live
+    parser.add_argument("--ready-fd", type=int, required=True)
+    parser.add_argument("--lifeline-fd", type=int)
+    options = parser.parse_args(argv)
+    syscalls.set_name("netlab")
+    folder = LabFolder(options.folder)
+
+    def in_box() -> int:
+        return asyncio.run(_main(folder, options.ready_fd))
+
+    try:
+        return run_in_box(in_box, lifeline_fd=options.lifeline_fd)
+    except NetlabError as error:
+        _say(options.ready_fd, {"error": str(error), "kind": "machine"})
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,115 @@
+"""The pytest plugin: labs as fixtures.
+
+    @pytest.mark.scenario("topologies/pair.yaml", overrides=["seed=3"])
+    def test_they_talk(lab):
+        result = lab.run()
+        assert result.passed, result.report()
+
+    def test_built_here(make_lab):
+        lab = make_lab({"name": "two", "nodes": {"a": {}, "b": {}}, "links": [{"between": ["a", "b"], "delay": "5ms"}]})
+        assert lab.exec("a", "ping", "-c1", "b").returncode == 0
+
+The capture of a failed test is kept below ``captures/`` and named in the report; those of passing tests are removed.
+Labs are independent of each other, so ``pytest -n auto`` runs them side by side.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Generator, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+
+from netlab.lab.builder import ScenarioBuilder
+from netlab.lab.facade import Lab
+
+_FAILED = pytest.StashKey[bool]()
+_CAPTURES = pytest.StashKey[list[Path]]()
+
+ScenarioSource = str | Path | Mapping[str, Any] | ScenarioBuilder
+
+
+class MakeLab(Protocol):
+    """Start a lab from a file, a mapping or a builder; it ends with the test."""
+
+    def __call__(
+        self,
+        scenario: ScenarioSource,
+        *,
+        engine: str | None = None,
+        seed: int | None = None,
+        overrides: list[str] | tuple[str, ...] = (),
+        packets: bool = True,
+    ) -> Lab: ...
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the marker."""
+    config.addinivalue_line(
+        "markers", "scenario(source, *, engine, seed, overrides, packets): the scenario of the `lab` fixture"
+    )
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Where the captures of failed tests go."""
+    parser.addoption("--lab-captures", default="captures", metavar="DIR", help="captures of failed lab tests go here")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
+    """Note a failure for the fixture's end, and name the captures in the report."""
+    report = yield
+    if report.failed:
+        item.stash[_FAILED] = True
+        for path in item.stash.get(_CAPTURES, []):
+            report.sections.append(("capture", f"kept as {path}; look into it with: netlab inspect {path}"))
+    return report
+
+
+@pytest.fixture
+def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLab, None, None]:
+    """Factory of labs; all of them end with the test."""
+    labs: list[Lab] = []
+    kept = request.node.stash.setdefault(_CAPTURES, [])
+    directory = Path(str(request.config.getoption("--lab-captures"))).resolve()
+    stem = re.sub(r"[^\w.-]+", "_", request.node.nodeid).strip("_")[-150:]
+    pending: list[tuple[Path, Path]] = []
+
+    def make(
+        scenario: ScenarioSource,
+        *,
+        engine: str | None = None,
+        seed: int | None = None,
+        overrides: list[str] | tuple[str, ...] = (),
+        packets: bool = True,
+    ) -> Lab:
+        source = scenario.build() if isinstance(scenario, ScenarioBuilder) else scenario
+        capture = tmp_path / f"capture{len(labs)}.mcap"
+        lab = Lab(source, engine=engine, seed=seed, overrides=overrides, capture=capture, packets=packets)
+        labs.append(lab)
+        destination = directory / f"{stem}{len(labs) if len(labs) > 1 else ''}.mcap"
+        pending.append((capture, destination))
+        kept.append(destination)
+        return lab.start()
+
+    yield make
+    for lab in labs:
+        lab.close()
+    if request.node.stash.get(_FAILED, False):
+        directory.mkdir(parents=True, exist_ok=True)
+        for capture, destination in pending:
+            if capture.exists():
+                shutil.move(capture, destination)
+
+
+@pytest.fixture
+def lab(request: pytest.FixtureRequest, make_lab: MakeLab) -> Lab:
+    """The lab of the test's ``scenario`` marker, started and ready."""
+    marker = request.node.get_closest_marker("scenario")
+    if marker is None:
+        raise pytest.UsageError("the `lab` fixture needs @pytest.mark.scenario(FILE or mapping); or use `make_lab`")
+    start: Callable[..., Lab] = make_lab
+    return start(*marker.args, **marker.kwargs)
