@@ -38,6 +38,7 @@ IFF_RUNNING = 0x40
 LOOPBACK_INDEX = 1  # in every network namespace: it is made first
 
 _IN6_ADDR_GEN_MODE_NONE = 1  # linux/if_link.h
+_IFLA_IFNAME = 3
 _NAME_BYTES_MAX = 15  # IFNAMSIZ less the final zero
 
 _U32 = struct.Struct("=I")
@@ -94,11 +95,11 @@ def create_veth(
     return _veth_template(len(name), len(peer_name)).fill(
         {
             "index": _U32.pack(index),
-            "name": name,
+            "name": _name_hole(name),
             "mac": mac,
             "mtu": _U32.pack(mtu),
             "peer_index": _U32.pack(peer_index),
-            "peer_name": peer_name,
+            "peer_name": _name_hole(peer_name),
             "peer_fd": _U32.pack(peer_fd),
         }
     )
@@ -106,7 +107,6 @@ def create_veth(
 
 @functools.lru_cache(maxsize=256)
 def _veth_template(name_bytes: int, peer_name_bytes: int) -> Template:
-    # The final zero is part of the hole: a one-letter name alone would be too short to be found.
     name, peer_name = _MARK_NAME[:name_bytes], _MARK_PEER_NAME[:peer_name_bytes]
     encoded = encode_create_veth(
         index=_MARK_INDEX,
@@ -119,14 +119,19 @@ def _veth_template(name_bytes: int, peer_name_bytes: int) -> Template:
     )
     markers = {
         "index": _U32.pack(_MARK_INDEX),
-        "name": name.encode(),
+        "name": _name_hole(name.encode()),
         "mac": _MARK_MAC,
         "mtu": _U32.pack(_MARK_MTU),
         "peer_index": _U32.pack(_MARK_PEER_INDEX),
-        "peer_name": peer_name.encode(),
+        "peer_name": _name_hole(peer_name.encode()),
         "peer_fd": _U32.pack(_MARK_FD),
     }
-    return Template(encoded, markers)
+    return Template(encoded, markers, mtu=2)
+
+
+def _name_hole(name: bytes) -> bytes:
+    # With its attribute header and final zero: the one byte of a short name alone would be found anywhere.
+    return struct.pack("=HH", 4 + len(name) + 1, _IFLA_IFNAME) + name + b"\0"
 
 
 def encode_add_address(index: int, interface: ipaddress.IPv4Interface) -> bytes:
@@ -162,7 +167,7 @@ def _address_template(prefix_bits: int) -> Template:
     if prefix_bits < 31:
         message["attrs"].append(("IFA_BROADCAST", socket.inet_ntoa(_MARK_BROADCAST)))
         markers["broadcast"] = _MARK_BROADCAST
-    return Template(encode_message(message, RTM_NEWADDR, NLM_F_CREATE | NLM_F_EXCL), markers)
+    return Template(encode_message(message, RTM_NEWADDR, NLM_F_CREATE | NLM_F_EXCL), markers, address=2)
 
 
 def encode_set_up(index: int, *, up: bool) -> bytes:

@@ -16,14 +16,22 @@ class Template:
 
     __slots__ = ("_encoded", "_holes")
 
-    def __init__(self, encoded: bytes, markers: Mapping[str, bytes]) -> None:
-        """Find each marker in ``encoded``; a marker may stand in several places, all of which become the hole.
+    def __init__(self, encoded: bytes, markers: Mapping[str, bytes], **places: int) -> None:
+        """Find each marker in ``encoded``.
+
+        Args:
+            encoded: The message with a marker where each hole is to be.
+            markers: The markers' bytes by the holes' names.
+            places: How often a marker stands there, if not once; all places are filled alike.
 
         Raises:
-            ValueError: A marker does not occur, or two markers overlap.
+            ValueError: A marker occurs more or less often than expected, or two markers overlap.
         """
         self._encoded = bytes(encoded)
-        self._holes = {name: (len(marker), _places(self._encoded, name, marker)) for name, marker in markers.items()}
+        self._holes = {
+            name: (len(marker), _places(self._encoded, name, marker, places.get(name, 1)))
+            for name, marker in markers.items()
+        }
         spans = sorted((start, start + size) for size, starts in self._holes.values() for start in starts)
         if any(end > start for (_, end), (start, _) in itertools.pairwise(spans)):
             raise ValueError(f"markers overlap in the template: {sorted(markers)}")
@@ -46,12 +54,12 @@ class Template:
         return bytes(message)
 
 
-def _places(encoded: bytes, name: str, marker: bytes) -> tuple[int, ...]:
+def _places(encoded: bytes, name: str, marker: bytes, expected: int) -> tuple[int, ...]:
     places = []
     start = encoded.find(marker)
     while start >= 0:
         places.append(start)
         start = encoded.find(marker, start + len(marker))
-    if not places:
-        raise ValueError(f"marker of hole {name} is not in the encoded message")
+    if len(places) != expected:
+        raise ValueError(f"the marker of hole {name} occurs {len(places)} times, not {expected}")
     return tuple(places)
