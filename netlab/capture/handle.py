@@ -83,7 +83,7 @@ class Recorder:
 
     def notices(self) -> list[str]:
         """What the recorder had to say since the last call, such as a full disk. Does not block."""
-        while self.failure is None and select.select([self._channel], [], [], 0)[0]:
+        while self.failure is None and self._channel.fileno() >= 0 and select.select([self._channel], [], [], 0)[0]:
             self._receive()
         notices, self._notices = self._notices, []
         return notices

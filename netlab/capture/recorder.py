@@ -41,6 +41,7 @@ from netlab.ipc import Channel
 
 METADATA_NAME = "netlab.run"
 _FLUSH_EVERY_S = 1.0
+_TELL_WITHIN_S = 0.2
 _LAST_FEED_WAIT_S = 0.05  # producers end before Close; this is for what is still in their sockets
 
 
@@ -69,8 +70,9 @@ class Recorder:
         """Record until told to end, then finish the file."""
         next_flush = time.monotonic() + _FLUSH_EVERY_S
         while not self._ending:
-            for key, _ in self._selector.select(max(next_flush - time.monotonic(), 0)):
+            for key, _ in self._selector.select(min(max(next_flush - time.monotonic(), 0), _TELL_WITHIN_S)):
                 key.data()
+            self._tell_error()
             if (now := time.monotonic()) >= next_flush:
                 self._every_second()
                 next_flush = now + _FLUSH_EVERY_S
@@ -163,13 +165,16 @@ class Recorder:
             feed.close()
             self._dropped_lines += feed.dropped
 
+    def _tell_error(self) -> None:
+        """The background thread may fail at any time; a person hears of it once."""
+        if self._writer and self._writer.error and not self._told_error:
+            self._told_error = True
+            self._send(Notice(self._writer.error))
+
     def _every_second(self) -> None:
         if self._writer is None:
             return
         self._writer.flush()
-        if self._writer.error and not self._told_error:
-            self._told_error = True
-            self._send(Notice(self._writer.error))
         for sniffer in self._sniffers:
             if sniffer.count_drops() and sniffer.node not in self._told_drops:
                 self._told_drops.add(sniffer.node)
