@@ -98,7 +98,16 @@ class MeshCore:
         """Return the oldest event not yet returned, None if there is none."""
         return self._state.events.popleft() if self._state.events else None
 
-    def publish(self, topic: str, payload: bytes, *, to: str, policy: TopicPolicy | None = None, now: float) -> int:
+    def publish(
+        self,
+        topic: str,
+        payload: bytes,
+        *,
+        to: str,
+        policy: TopicPolicy | None = None,
+        may_drop: bool = True,
+        now: float,
+    ) -> int:
         """Queue a message for the node named ``to``, or for ``all``; return its message id.
 
         Args:
@@ -106,6 +115,7 @@ class MeshCore:
             payload: Opaque; at most 16 MiB. Not copied: do not change it afterwards.
             to: A node's name, or ``all``.
             policy: Overrides the topic's configured policy.
+            may_drop: Whether a full queue makes room by dropping; otherwise it refuses.
             now: Monotonic seconds.
 
         Raises:
@@ -114,7 +124,7 @@ class MeshCore:
         self._now = now
         try:
             chosen = policy or self._state.settings.policy(topic)
-            return self._outbox.publish(topic, payload, to=to, policy=chosen, now=now)
+            return self._outbox.publish(topic, payload, to=to, policy=chosen, may_drop=may_drop, now=now)
         except Refused as refusal:
             self._state.counters[f"refused_{refusal.reason.value}"] += 1
             raise

@@ -45,7 +45,7 @@ class Outbox:
         self._deadlines: list[tuple[float, int, Transfer]] = []
         self._compact_at = _COMPACT_FROM
 
-    def publish(self, topic: str, payload: bytes, *, to: str, policy: TopicPolicy, now: float) -> int:
+    def publish(self, topic: str, payload: bytes, *, to: str, policy: TopicPolicy, may_drop: bool, now: float) -> int:
         """Queue a message; return its id.
 
         Raises:
@@ -64,7 +64,7 @@ class Outbox:
         if message.fragment_count > wire.MAX_FRAGMENTS:
             raise Refused(RefusalReason.TOO_LARGE)
         lanes = self._lanes(message, to, now=now)
-        self._make_room(message, len(lanes), now=now)
+        self._make_room(message, len(lanes), may_drop=may_drop, now=now)
         state.take_message_id()
         for lane in lanes:
             self._add(message, lane, now=now)
@@ -129,17 +129,17 @@ class Outbox:
             self.drop(older, DropReason.SUPERSEDED, now=now)
         lane.newest[topic] = newest
 
-    def _make_room(self, message: Message, copies: int, *, now: float) -> None:
+    def _make_room(self, message: Message, copies: int, *, may_drop: bool, now: float) -> None:
         settings = self._state.settings
         topic = self._by_topic.get(message.topic, {})
         while len(topic) + copies > settings.queue_messages:
             victim = next((t for t in topic.values() if not t.is_started), None)
-            if victim is None:
+            if victim is None or not may_drop:
                 raise Refused(RefusalReason.QUEUE_FULL)
             self.drop(victim, DropReason.QUEUE_FULL, now=now)
         while self.queued_bytes + copies * message.size_bytes > settings.queue_bytes:
             victim = self._least_valuable(message)
-            if victim is None:
+            if victim is None or not may_drop:
                 raise Refused(RefusalReason.QUEUE_FULL)
             self.drop(victim, DropReason.QUEUE_FULL, now=now)
 

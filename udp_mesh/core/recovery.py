@@ -1,8 +1,8 @@
 """Loss recovery of one peer's epoch: which packets are in flight, arrived, or lost, and when to probe.
 
 Source: RFC 8985 (RACK-TLP). Packets are never retransmitted, only their fragments, in new packets: so an
-acknowledgement is never ambiguous. Deviations: the reordering window is zero until reordering was seen, once three later
-packets have arrived; probe timeouts stay at 100 ms on fast paths (see :mod:`udp_mesh.core.rtt`).
+acknowledgement is never ambiguous. Deviations: until reordering was seen, three later packets suffice without a window;
+probe timeouts stay at 100 ms on fast paths (see :mod:`udp_mesh.core.rtt`).
 """
 
 from __future__ import annotations

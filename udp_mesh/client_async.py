@@ -1,0 +1,245 @@
+"""The client for asyncio; same words as :class:`udp_mesh.client.Client`. asyncio is imported only when it is used."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from udp_mesh import local_wire
+from udp_mesh.client_state import (
+    ClientError,
+    ClientState,
+    PeerInfo,
+    Refused,
+    RequestFailed,
+    WouldBlock,
+    overrides_of,
+    peers_of,
+    result_of,
+    table_of,
+)
+from udp_mesh.config import default_socket
+from udp_mesh.local_wire import FrameType, LocalProtocolError, Message
+
+if TYPE_CHECKING:
+    import asyncio
+
+_RECONNECT_INTERVAL_S = 0.05
+_ANSWER_WITHIN_S = 5.0
+_MAX_UNSENT_BYTES = 4 * 1024 * 1024
+_READ_BYTES = 256 * 1024
+
+
+class AsyncClient:
+    """A connection to this node's daemon: ``async with AsyncClient() as mesh: ...``."""
+
+    def __init__(self, socket_path: str | None = None, *, connect_timeout_s: float = 5.0) -> None:
+        self.path = socket_path or default_socket()
+        self._connect_timeout_s = connect_timeout_s
+        self._state = ClientState()
+        self._writer: asyncio.StreamWriter | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._changed: asyncio.Event | None = None
+
+    async def __aenter__(self) -> AsyncClient:
+        import asyncio
+
+        self._changed = asyncio.Event()
+        self._task = asyncio.create_task(self._serve())
+        if not await self._wait(lambda: self._state.is_greeted, self._connect_timeout_s):
+            await self.close()
+            raise ClientError(f"no udp-mesh daemon answers at {self.path}; is it running?")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Disconnect."""
+        import asyncio
+
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+            self._task = None
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            writer.close()
+            await asyncio.gather(writer.wait_closed(), return_exceptions=True)
+
+    def publish(
+        self,
+        topic: str,
+        payload: bytes,
+        *,
+        to: str,
+        priority: int | None = None,
+        reliability: str | None = None,
+        keep: str | None = None,
+        lifetime_s: float | None = None,
+        offline: str | None = None,
+    ) -> None:
+        """Hand a message to the daemon without waiting; see :meth:`udp_mesh.client.Client.publish`.
+
+        Raises:
+            Refused: It was not taken; ``reason`` says why.
+            WouldBlock: The daemon does not keep up.
+        """
+        overrides = overrides_of(priority, reliability, keep, offline, lifetime_s)
+        writer = self._connected()
+        if writer.transport.get_write_buffer_size() > _MAX_UNSENT_BYTES:
+            raise WouldBlock("the daemon does not keep up")
+        _request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
+        writer.write(frame)
+
+    async def publish_wait(
+        self,
+        topic: str,
+        payload: bytes,
+        *,
+        to: str,
+        timeout_s: float | None = None,
+        priority: int | None = None,
+        reliability: str | None = None,
+        keep: str | None = None,
+        lifetime_s: float | None = None,
+        offline: str | None = None,
+    ) -> int:
+        """Hand a message to the daemon and wait until it has taken it. Return its message id.
+
+        Raises:
+            Refused: It was not taken; ``reason`` says why.
+            WouldBlock: The queue had no room within ``timeout_s``; the message may still be taken.
+        """
+        overrides = overrides_of(priority, reliability, keep, offline, lifetime_s)
+        writer = self._connected()
+        request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
+        writer.write(frame)
+        verdicts: list[local_wire.Verdict] = []
+
+        def is_decided() -> bool:
+            verdict = self._state.take_verdict(request)
+            if verdict is not None:
+                verdicts.append(verdict)
+            return verdict is not None or self._writer is not writer
+
+        if not await self._wait(is_decided, timeout_s):
+            raise WouldBlock("the queue had no room in time")
+        if not verdicts:
+            raise Refused("daemon_unreachable")
+        if verdicts[0].reason:
+            raise Refused(verdicts[0].reason)
+        return verdicts[0].message_id
+
+    async def subscribe(self, topic: str) -> None:
+        """Receive messages of this topic from now on; ``*`` is every topic."""
+        if topic not in self._state.topics:
+            self._state.topics.append(topic)
+            if self._writer is not None:
+                self._writer.write(local_wire.frame(FrameType.SUBSCRIBE, topic.encode()))
+
+    async def receive(self, timeout_s: float | None = None) -> Message | None:
+        """Return the next message; None when ``timeout_s`` is over."""
+        await self._wait(lambda: bool(self._state.inbox), timeout_s)
+        return self._state.inbox.popleft() if self._state.inbox else None
+
+    async def __aiter__(self) -> AsyncIterator[Message]:
+        """Yield messages for ever."""
+        while True:
+            message = await self.receive()
+            if message is not None:
+                yield message
+
+    @property
+    def missed(self) -> int:
+        """Messages lost because this application read too slowly."""
+        return self._state.missed
+
+    @property
+    def refusals(self) -> Counter[str]:
+        """Refused messages by reason, those included that the daemon refused after ``publish`` returned."""
+        return self._state.refusals
+
+    async def peers(self) -> list[PeerInfo]:
+        """Return every node ever heard by the daemon."""
+        return peers_of(await self._ask("peers"))
+
+    async def wait_for_peer(self, name: str, timeout_s: float) -> bool:
+        """Wait until a peer is online; False if it was not within ``timeout_s``."""
+        return await self._wait(lambda: self._state.is_online(name), timeout_s)
+
+    async def stats(self) -> dict[str, object]:
+        """Return the daemon's counters, queue depths and peers."""
+        return table_of(await self._ask("stats"))
+
+    async def config_get(self) -> dict[str, object]:
+        """Return the daemon's settings."""
+        return table_of(await self._ask("config_get"))
+
+    async def config_set(self, key: str, value: str) -> dict[str, object]:
+        """Change a setting while the daemon runs; return all settings."""
+        return table_of(await self._ask("config_set", key=key, value=value))
+
+    def _connected(self) -> asyncio.StreamWriter:
+        if self._writer is None or self._writer.is_closing():
+            raise Refused("daemon_unreachable")
+        return self._writer
+
+    async def _ask(self, method: str, **arguments: str) -> object:
+        request, frame = self._state.encode_request(method, **arguments)
+        self._connected().write(frame)
+        answers: list[dict[str, object]] = []
+
+        def is_answered() -> bool:
+            answer = self._state.take_answer(request)
+            if answer is not None:
+                answers.append(answer)
+            return bool(answers)
+
+        if not await self._wait(is_answered, _ANSWER_WITHIN_S):
+            raise RequestFailed(f"the daemon did not answer within {_ANSWER_WITHIN_S:g} s")
+        return result_of(answers[0])
+
+    async def _wait(self, is_done: Callable[[], bool], timeout_s: float | None) -> bool:
+        import asyncio
+
+        if self._changed is None:
+            raise ClientError("use the client in: async with AsyncClient() as mesh")
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not is_done():
+                    self._changed.clear()
+                    await self._changed.wait()
+        except TimeoutError:
+            return False
+        return True
+
+    async def _serve(self) -> None:
+        """Read for ever; connect again whenever the daemon is gone."""
+        import asyncio
+
+        while True:
+            try:
+                reader, writer = await asyncio.open_unix_connection(self.path)
+            except OSError:
+                await asyncio.sleep(_RECONNECT_INTERVAL_S)
+                continue
+            self._writer = writer
+            writer.write(self._state.connected())
+            try:
+                while data := await reader.read(_READ_BYTES):
+                    self._state.feed(data)
+                    self._notify()
+            except (OSError, LocalProtocolError):
+                pass
+            self._writer = None
+            writer.close()
+            self._notify()
+
+    def _notify(self) -> None:
+        if self._changed is not None:
+            self._changed.set()

@@ -1,0 +1,205 @@
+"""What both clients know of their daemon: peers, policies, answers, received messages. No sockets."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, deque
+from dataclasses import dataclass
+
+from udp_mesh import local_wire
+from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability
+from udp_mesh.local_wire import FrameReader, FrameType, Message, Overrides, Publish, Verdict
+
+MAX_INBOX_MESSAGES = 65_536
+
+
+class ClientError(Exception):
+    """Base of what the clients raise."""
+
+
+class Refused(ClientError):
+    """A message was not taken; ``reason`` is one of the daemon's refusal reasons, or ``daemon_unreachable``."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class WouldBlock(ClientError):
+    """The daemon does not keep up with this application; the message was not taken."""
+
+
+class RequestFailed(ClientError):
+    """The daemon answered a question with an error, or not in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeerInfo:
+    """A peer of this node. ``rate_bps``: estimated rate of the path, 0 if never measured."""
+
+    name: str
+    online: bool
+    carrier: int
+    address: str
+    silent_for_s: float
+    srtt_s: float | None
+    rate_bps: float
+    cwnd_bytes: int
+    queue_delay_s: float
+    queued_messages: int
+    queued_bytes: int
+
+
+class ClientState:
+    """Takes the daemon's bytes; survives a reconnection, except for what was asked and not answered."""
+
+    def __init__(self) -> None:
+        self.inbox: deque[Message] = deque()
+        self.missed = 0
+        self.refusals: Counter[str] = Counter()
+        self.topics: list[str] = []
+        self.is_greeted = False
+        self.name = ""
+        self._peers: dict[str, PeerInfo] = {}
+        self._offline: dict[str, Offline] = {}
+        self._verdicts: dict[int, Verdict | None] = {}
+        self._answers: dict[int, dict[str, object]] = {}
+        self._next_request = 0
+        self._reader = FrameReader()
+
+    def connected(self) -> bytes:
+        """Begin with a new connection; return what to send first: the subscriptions."""
+        self._reader = FrameReader()
+        self._verdicts.clear()
+        self._answers.clear()
+        self.is_greeted = False
+        return b"".join(local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics)
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes from the daemon."""
+        for kind, body in self._reader.feed(data):
+            self._frame(kind, body)
+
+    def _frame(self, kind: int, body: memoryview) -> None:
+        if kind == FrameType.MESSAGE:
+            if len(self.inbox) >= MAX_INBOX_MESSAGES:
+                self.inbox.popleft()
+                self.missed += 1
+            self.inbox.append(local_wire.decode_message(body))
+        elif kind == FrameType.VERDICT:
+            self._verdict(local_wire.decode_verdict(body))
+        elif kind == FrameType.LOST:
+            self.missed += local_wire.decode_lost(body)
+        elif kind == FrameType.PEERS:
+            self._peers = {entry["name"]: PeerInfo(**entry) for entry in json.loads(bytes(body))}
+            self.is_greeted = True
+        elif kind == FrameType.RESPONSE:
+            answer = json.loads(bytes(body))
+            self._answers[answer["id"]] = answer
+        elif kind == FrameType.WELCOME:
+            about = json.loads(bytes(body))
+            self.name = about["name"]
+            topics = about["config"]["topics"]
+            self._offline = {topic: Offline(policy["offline"]) for topic, policy in topics.items()}
+
+    def _verdict(self, verdict: Verdict) -> None:
+        if verdict.reason:
+            self.refusals[verdict.reason] += 1
+        if verdict.request in self._verdicts:
+            self._verdicts[verdict.request] = verdict
+
+    def is_online(self, name: str) -> bool:
+        """Whether a peer is online, as far as the daemon has told."""
+        peer = self._peers.get(name)
+        return peer is not None and peer.online
+
+    def encode_publish(
+        self, topic: str, payload: bytes, to: str, overrides: Overrides, *, waits: bool
+    ) -> tuple[int, bytes]:
+        """Return a request number and the frame.
+
+        Raises:
+            Refused: It is clear already that the daemon would not take the message.
+        """
+        self._check(topic, payload, to, overrides)
+        self._next_request = (self._next_request + 1) & 0xFFFFFFFF
+        publish = Publish(self._next_request, topic, payload, to, overrides, wants_verdict=waits, waits=waits)
+        if waits:
+            self._verdicts[publish.request] = None
+        return publish.request, local_wire.encode_publish(publish)
+
+    def _check(self, topic: str, payload: bytes, to: str, overrides: Overrides) -> None:
+        reason = ""
+        if not 0 < len(topic.encode()) <= 255:
+            reason = "bad_topic"
+        elif overrides.priority is not None and not 0 <= overrides.priority <= 255:
+            reason = "bad_policy"
+        elif len(payload) > MAX_MESSAGE_BYTES:
+            reason = "too_large"
+        elif self.is_greeted and to != BROADCAST_NAME:
+            peer = self._peers.get(to)
+            offline = overrides.offline or self._offline.get(topic, Offline.DISCARD)
+            if peer is None:
+                reason = "own_name" if to == self.name else "unknown_peer"
+            elif not peer.online and offline is Offline.DISCARD:
+                reason = "peer_offline"
+        if reason:
+            self.refusals[reason] += 1
+            raise Refused(reason)
+
+    def encode_request(self, method: str, **arguments: str) -> tuple[int, bytes]:
+        """Return a request number and the frame of a question."""
+        self._next_request = (self._next_request + 1) & 0xFFFFFFFF
+        question = {"id": self._next_request, "method": method, **arguments}
+        return self._next_request, local_wire.json_frame(FrameType.REQUEST, question)
+
+    def take_answer(self, request: int) -> dict[str, object] | None:
+        """Return the answer to a question once it is there."""
+        return self._answers.pop(request, None)
+
+    def take_verdict(self, request: int) -> Verdict | None:
+        """Return the verdict on a waiting publish once it is there."""
+        verdict = self._verdicts.get(request)
+        if verdict is not None:
+            del self._verdicts[request]
+        return verdict
+
+
+def overrides_of(
+    priority: int | None, reliability: str | None, keep: str | None, offline: str | None, lifetime_s: float | None
+) -> Overrides:
+    """Return typed overrides.
+
+    Raises:
+        ValueError: A word is not one of its choices, or the lifetime is not positive.
+    """
+    if lifetime_s is not None and not lifetime_s > 0:
+        raise ValueError(f"lifetime_s has to be positive, not {lifetime_s}")
+    return Overrides(
+        priority,
+        None if reliability is None else Reliability(reliability),
+        None if keep is None else Keep(keep),
+        None if offline is None else Offline(offline),
+        lifetime_s,
+    )
+
+
+def result_of(answer: dict[str, object]) -> object:
+    """Return what an answer holds.
+
+    Raises:
+        RequestFailed: It is an error.
+    """
+    if "error" in answer:
+        raise RequestFailed(str(answer["error"]))
+    return answer["result"]
+
+
+def peers_of(result: object) -> list[PeerInfo]:
+    """Return an answer about peers, typed."""
+    return [PeerInfo(**entry) for entry in result] if isinstance(result, list) else []
+
+
+def table_of(result: object) -> dict[str, object]:
+    """Return an answer that is an object."""
+    return result if isinstance(result, dict) else {}

@@ -1,0 +1,277 @@
+"""A node's configuration file (TOML): reading, checking, defaults. All mistakes are reported at once.
+
+name = "robot1"
+window = 0                    # congestion control
+[topics.telemetry]
+priority = 1
+lifetime_s = 2.0
+[topics.fpv]                  # the paper's point-of-view video: one entry, less urgent than all else
+priority = 9
+reliability = "best_effort"
+keep = "latest"
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+from pathlib import Path
+
+from udp_mesh.core import wire
+from udp_mesh.core.settings import BROADCAST_NAME, Keep, Offline, Reliability, Settings, TopicPolicy
+
+NOT_YET = ("coordinate", "floor", "key", "store", "carriers", "neighbours", "dscp", "compress")
+NOT_YET_TOPIC = ("rate_limit", "redundancy", "compress")
+
+
+class ConfigError(Exception):
+    """A configuration is wrong; ``problems`` lists every mistake as ``file: key: what is wrong; what to do``."""
+
+    def __init__(self, problems: list[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """One node's configuration. Sizes in bytes, times in seconds."""
+
+    name: str = field(default_factory=socket.gethostname)
+    """This node's name, 1..63 bytes of printable UTF-8, unique in the team; the host's name by default."""
+    port: int = 8700
+    """UDP port, the same on every node."""
+    interfaces: tuple[str, ...] = ()
+    """Names of the interfaces to use; empty: every one that is up and has IPv4 and broadcast, except loopback."""
+    payload_bytes: int = 1400
+    """Largest datagram, without IP and UDP headers, 256..65000; all of the path must carry it."""
+    window: int = 0
+    """Datagrams in flight to one peer; 0: congestion control decides. 3 is what the udp_mesh paper used."""
+    prioritise: bool = True
+    """Whether more urgent messages leave first; false: in the order of publication."""
+    probe: bool = True
+    """Whether an offline peer is searched for every 25 ms; false: it returns with its next beacon."""
+    beacon_interval_s: float = 1.0
+    """Time between beacons, 0.05..60."""
+    socket: str = ""
+    """Unix socket of the local applications; empty: see :func:`default_socket`."""
+    queue_bytes: int = 16 * 1024 * 1024
+    """Payload waiting or in flight in this node, 65536..2^30; beyond it the least urgent is dropped first."""
+    topics: Mapping[str, TopicPolicy] = field(default_factory=dict)
+    """Settings by topic."""
+
+    def settings(self, *, trace_fragments: bool = False) -> Settings:
+        """Return what the core has to know."""
+        return Settings(
+            name=self.name,
+            payload_bytes=self.payload_bytes,
+            window=self.window,
+            prioritise=self.prioritise,
+            probe=self.probe,
+            beacon_interval_s=self.beacon_interval_s,
+            queue_bytes=self.queue_bytes,
+            trace_fragments=trace_fragments,
+            topics=self.topics,
+        )
+
+
+RUNTIME_KEYS = ("payload_bytes", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes")
+
+
+def default_socket() -> str:
+    """Return $UDP_MESH_SOCKET, or /run/udp_mesh.sock where that can be written, or one in the user's runtime folder."""
+    chosen = os.environ.get("UDP_MESH_SOCKET")
+    if chosen:
+        return chosen
+    user = os.environ.get("XDG_RUNTIME_DIR")
+    if Path("/run/udp_mesh.sock").exists() or os.access("/run", os.W_OK) or not user:
+        return "/run/udp_mesh.sock"
+    return f"{user}/udp_mesh.sock"
+
+
+def load(path: str) -> Config:
+    """Read a configuration file.
+
+    Raises:
+        ConfigError: It cannot be read, or something in it is wrong.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            table = tomllib.load(file)
+    except OSError as error:
+        raise ConfigError([f"{path}: cannot be read: {error.strerror}"]) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError([f"{path}: is not TOML: {error}"]) from error
+    return parse(table, source=path)
+
+
+def parse(table: Mapping[str, object], *, source: str) -> Config:
+    """Check a configuration that was read already; ``source`` names it in messages.
+
+    Raises:
+        ConfigError: With every mistake.
+    """
+    problems: list[str] = []
+    values = _values(table, _CHECKS, NOT_YET, prefix=f"{source}: ", skip=("topics",), problems=problems)
+    topics: dict[str, TopicPolicy] = {}
+    tables = table.get("topics", {})
+    if isinstance(tables, dict):
+        for name, entry in tables.items():
+            topics[name] = _topic(name, entry, source, problems)
+    else:
+        problems.append(f"{source}: topics: has to be tables like [topics.telemetry]")
+    if problems:
+        raise ConfigError(problems)
+    return replace(Config(), topics=topics, **values)  # type: ignore[arg-type]
+
+
+def change(config: Config, key: str, text: str) -> Config:
+    """Return the configuration with one key changed while the daemon runs; ``text`` is TOML, or a bare word.
+
+    ``key`` is one of ``RUNTIME_KEYS`` or ``topics.NAME.SETTING``.
+
+    Raises:
+        ConfigError: The key cannot be changed, or the value is wrong.
+    """
+    try:
+        value: object = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    problems: list[str] = []
+    if key.startswith("topics.") and key.count(".") >= 2:
+        name, setting = key[len("topics.") :].rsplit(".", 1)
+        policy = _topic(name, {setting: value}, "config set", problems, base=config.topics.get(name, TopicPolicy()))
+        changed = replace(config, topics={**config.topics, name: policy})
+    elif key in RUNTIME_KEYS:
+        values = _values({key: value}, _CHECKS, NOT_YET, prefix="config set: ", skip=(), problems=problems)
+        changed = replace(config, **values)  # type: ignore[arg-type]
+    else:
+        known = ", ".join(RUNTIME_KEYS)
+        raise ConfigError([f"config set: {key}: cannot change at run time; these can: {known}, topics.NAME.SETTING"])
+    if problems:
+        raise ConfigError(problems)
+    return changed
+
+
+def _topic(name: str, entry: object, source: str, problems: list[str], base: TopicPolicy | None = None) -> TopicPolicy:
+    prefix = f"{source}: topics.{name}."
+    base = base or TopicPolicy()
+    if not 0 < len(name.encode()) <= wire.MAX_TOPIC_BYTES:
+        problems.append(f"{source}: topics.{name}: a topic's name has 1..{wire.MAX_TOPIC_BYTES} bytes")
+    if not isinstance(entry, dict):
+        problems.append(f"{source}: topics.{name}: has to be a table")
+        return base
+    if entry.get("offline") == "store":
+        problems.append(f'{prefix}offline: "store" is not available yet; use "discard" or "latest"')
+        entry = {key: value for key, value in entry.items() if key != "offline"}
+    values = _values(entry, _TOPIC_CHECKS, NOT_YET_TOPIC, prefix=prefix, skip=(), problems=problems)
+    return replace(base, **values)  # type: ignore[arg-type]
+
+
+def _values(
+    table: Mapping[str, object],
+    checks: Mapping[str, Check],
+    not_yet: tuple[str, ...],
+    *,
+    prefix: str,
+    skip: tuple[str, ...],
+    problems: list[str],
+) -> dict[str, object]:
+    values: dict[str, object] = {}
+    for key, value in table.items():
+        if key in checks:
+            try:
+                values[key] = checks[key](value)
+            except ValueError as error:
+                problems.append(f"{prefix}{key}: {error}, not {value!r}")
+        elif key in not_yet:
+            problems.append(f"{prefix}{key}: not available yet; remove it")
+        elif key not in skip:
+            known = ", ".join([*checks, *skip])
+            problems.append(f"{prefix}{key}: unknown key; known are {known}")
+    return values
+
+
+Check = Callable[[object], object]
+
+
+def _number(low: float, high: float, *, whole: bool) -> Check:
+    def check(value: object) -> object:
+        kinds = (int,) if whole else (int, float)
+        if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
+            raise ValueError(f"has to be a {'whole ' if whole else ''}number from {low:g} to {high:g}")
+        return value if whole else float(value)
+
+    return check
+
+
+def _boolean(value: object) -> object:
+    if not isinstance(value, bool):
+        raise ValueError("has to be true or false")
+    return value
+
+
+def _text(value: object) -> object:
+    if not isinstance(value, str):
+        raise ValueError("has to be a text")
+    return value
+
+
+def _name(value: object) -> object:
+    if not isinstance(value, str) or not 0 < len(value.encode()) <= wire.MAX_NAME_BYTES or not value.isprintable():
+        raise ValueError(f"has to be a text of 1..{wire.MAX_NAME_BYTES} printable bytes")
+    if value == BROADCAST_NAME:
+        raise ValueError(f'cannot be "{BROADCAST_NAME}", which means every node')
+    return value
+
+
+def _interfaces(value: object) -> object:
+    if not isinstance(value, list) or not all(isinstance(name, str) and 0 < len(name) < 16 for name in value):
+        raise ValueError('has to be a list of interface names like ["wlan0"]')
+    return tuple(value)
+
+
+def _one_of(kind: type[StrEnum]) -> Check:
+    def check(value: object) -> object:
+        choices = [member.value for member in kind]
+        if value not in choices:
+            raise ValueError(f"has to be one of {', '.join(choices)}")
+        return kind(str(value))
+
+    return check
+
+
+_CHECKS: dict[str, Check] = {
+    "name": _name,
+    "port": _number(1, 65535, whole=True),
+    "interfaces": _interfaces,
+    "payload_bytes": _number(256, 65000, whole=True),
+    "window": _number(0, 100_000, whole=True),
+    "prioritise": _boolean,
+    "probe": _boolean,
+    "beacon_interval_s": _number(0.05, 60, whole=False),
+    "socket": _text,
+    "queue_bytes": _number(65536, 1 << 30, whole=True),
+}
+_TOPIC_CHECKS: dict[str, Check] = {
+    "priority": _number(0, 255, whole=True),
+    "reliability": _one_of(Reliability),
+    "keep": _one_of(Keep),
+    "lifetime_s": _number(0.001, 1e9, whole=False),
+    "offline": _one_of(Offline),
+}
+
+
+def describe(config: Config) -> dict[str, object]:
+    """Return the configuration as plain values, for people and JSON."""
+    values: dict[str, object] = {f.name: getattr(config, f.name) for f in fields(config) if f.name != "topics"}
+    values["topics"] = {name: describe_policy(policy) for name, policy in config.topics.items()}
+    return values
+
+
+def describe_policy(policy: TopicPolicy) -> dict[str, object]:
+    """Return a topic's settings as plain values."""
+    return {f.name: getattr(policy, f.name) for f in fields(policy)}

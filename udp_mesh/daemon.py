@@ -1,0 +1,94 @@
+"""The daemon process: arguments, signals, exit codes. Importing it does nothing."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from udp_mesh.config import Config, ConfigError, default_socket, load
+from udp_mesh.core.mesh import MeshCore, new_epoch
+from udp_mesh.io.feed import EventFeed
+from udp_mesh.io.node import Node
+from udp_mesh.io.server import LocalServer, SocketInUse
+
+EXIT_BAD_ENVIRONMENT = 2
+_PR_SET_TIMERSLACK = 29
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the daemon until SIGTERM or SIGINT; return the exit code: 0, or 2 with one line that says why."""
+    arguments = _parser().parse_args(argv)
+    try:
+        config = load(arguments.config) if arguments.config else Config()
+        return _serve(config, arguments)
+    except ConfigError as error:
+        return _fail("\n".join(error.problems))
+    except SocketInUse as error:
+        return _fail(str(error))
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return _fail(f"UDP port {config.port} is in use; end the other daemon or choose another port")
+        return _fail(f"cannot open the network: {error.strerror or error}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="udp-mesh daemon", description="Connect this node to the team.")
+    parser.add_argument("--config", metavar="FILE", help="TOML file; without it everything has its default")
+    parser.add_argument("--ready-fd", type=int, metavar="N", help="write READY=1 here when all sockets are open")
+    parser.add_argument("--events-fd", type=int, metavar="N", help="write events here, one JSON object a line")
+    parser.add_argument("--trace-fragments", action="store_true", help="report every fragment sent as an event")
+    return parser
+
+
+def _fail(text: str) -> int:
+    print(f"udp-mesh: {text}", file=sys.stderr)
+    return EXIT_BAD_ENVIRONMENT
+
+
+def _serve(config: Config, arguments: argparse.Namespace) -> int:
+    _allow_exact_timers()
+    rng = random.SystemRandom()
+    core = MeshCore(
+        config.settings(trace_fragments=arguments.trace_fragments),
+        epoch=new_epoch(rng),
+        rng=random.Random(rng.getrandbits(64)),
+        now=time.monotonic(),
+    )
+    path = config.socket or default_socket()
+    server = LocalServer(path)
+    feed = None if arguments.events_fd is None else EventFeed(arguments.events_fd)
+    node = Node(replace(config, socket=path), core, server, feed)
+    try:
+        node.open_carriers()
+        _stop_on_signals(node)
+        if arguments.ready_fd is not None:
+            os.write(arguments.ready_fd, b"READY=1\n")
+            os.close(arguments.ready_fd)
+        node.run()
+    finally:
+        signal.set_wakeup_fd(-1)
+        node.close()
+    return 0
+
+
+def _stop_on_signals(node: Node) -> None:
+    def stop(_number: int, _frame: object) -> None:
+        node.stop()
+
+    signal.set_wakeup_fd(node.wake_write.fileno(), warn_on_full_buffer=False)
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+
+
+def _allow_exact_timers() -> None:
+    """Ask the kernel not to delay our timers by the usual 50 us."""
+    import ctypes  # here because it is only needed once, and costs milliseconds
+
+    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

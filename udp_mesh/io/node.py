@@ -1,0 +1,185 @@
+"""The daemon's loop: sockets, timers and the core.
+
+Built on select(2): it takes its time-out in microseconds, while epoll rounds up to a whole millisecond, which would
+make paced packets late.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import time
+from collections import Counter
+
+from udp_mesh import local_wire
+from udp_mesh.config import Config
+from udp_mesh.core.events import MessageDelivered, PeerDown, PeerUp
+from udp_mesh.core.mesh import Datagram, MeshCore
+from udp_mesh.io.feed import EventFeed
+from udp_mesh.io.interfaces import list_interfaces
+from udp_mesh.io.requests import Requests
+from udp_mesh.io.server import Connection, LocalServer
+from udp_mesh.io.udp import UdpCarrier
+from udp_mesh.local_wire import FrameType
+
+RESCAN_INTERVAL_S = 1.0
+
+
+class Node:
+    """One daemon's sockets around one core."""
+
+    def __init__(self, config: Config, core: MeshCore, server: LocalServer, feed: EventFeed | None) -> None:
+        self._config = config
+        self._core = core
+        self._server = server
+        self._feed = feed
+        self._counters: Counter[str] = Counter()
+        self._carriers: dict[int, UdpCarrier] = {}
+        self._selector = selectors.SelectSelector()
+        self._requests = Requests(core, config, self._config_changed)
+        self._requests.io_stats = lambda: dict(self._counters)
+        self._is_stopping = False
+        self._rescan_at_s = 0.0
+        self._selector.register(server, selectors.EVENT_READ)
+        # A signal handler only runs between bytecodes: the pipe wakes select when one arrives.
+        self._wake_read, self.wake_write = socket.socketpair()
+        self._wake_read.setblocking(False)
+        self.wake_write.setblocking(False)
+        self._selector.register(self._wake_read, selectors.EVENT_READ)
+
+    def stop(self) -> None:
+        """End :meth:`run` after the current turn; may be called from a signal handler."""
+        self._is_stopping = True
+
+    def open_carriers(self) -> None:
+        """Open a socket on every wanted interface that is there, and close those of interfaces that are gone.
+
+        Raises:
+            OSError: The port is in use.
+        """
+        self._rescan_at_s = time.monotonic() + RESCAN_INTERVAL_S
+        present = {interface.index: interface for interface in list_interfaces(self._config.interfaces)}
+        for index in [i for i, carrier in self._carriers.items() if present.get(i) != carrier.interface]:
+            self._core.remove_carrier(index)
+            carrier = self._carriers.pop(index)
+            self._selector.unregister(carrier)
+            carrier.close()
+        for index, interface in present.items():
+            if index not in self._carriers:
+                carrier = UdpCarrier(interface, self._config.port, self._counters)
+                self._carriers[index] = carrier
+                self._selector.register(carrier, selectors.EVENT_READ)
+                self._core.add_carrier(index)
+
+    def _rescan(self) -> None:
+        try:
+            self.open_carriers()
+        except OSError:  # it vanished again, or somebody took the port: the next scan tries anew
+            self._counters["interface_failures"] += 1
+
+    def run(self) -> None:
+        """Serve until :meth:`stop`."""
+        while not self._is_stopping:
+            self._exhaust()
+            wait_s = max(0.0, min(self._core.next_timer(), self._rescan_at_s) - time.monotonic())
+            if any(carrier.backlog for carrier in self._carriers.values()):
+                wait_s = min(wait_s, 0.0005)
+            for key, events in self._selector.select(wait_s):
+                self._ready(key.fileobj, events)
+            now = time.monotonic()
+            if self._core.next_timer() <= now:
+                self._core.handle_timer(now=now)
+            if now >= self._rescan_at_s:
+                self._rescan()
+
+    def _ready(self, source: object, events: int) -> None:
+        if isinstance(source, UdpCarrier):
+            for data, path, now in source.receive():
+                self._core.receive_datagram(data, path, now=now)
+        elif isinstance(source, LocalServer):
+            connection = source.accept()
+            if connection is not None:
+                self._selector.register(connection, selectors.EVENT_READ)
+                self._requests.welcome(connection)
+        elif isinstance(source, Connection):
+            if events & selectors.EVENT_READ:
+                source.read()
+                self._serve(source)
+        elif source is self._wake_read:
+            self._wake_read.recv(64)
+
+    def _serve(self, connection: Connection) -> None:
+        while (frame := connection.next_frame()) is not None:
+            self._requests.handle(connection, *frame)
+
+    def _exhaust(self) -> None:
+        """Bring everything that the core has to where it belongs."""
+        self._retry_parked()
+        if not any(carrier.backlog for carrier in self._carriers.values()):
+            self._dispatch(self._core.datagrams_to_send(now=time.monotonic()))
+        else:
+            self._dispatch([])
+        self._events()
+        for connection in list(self._server.connections):
+            connection.flush()
+            self._watch(connection)
+        if self._feed is not None:
+            self._feed.flush()
+
+    def _retry_parked(self) -> None:
+        for connection in self._server.connections:
+            if connection.parked is not None:
+                self._requests.publish(connection, connection.parked)
+                self._serve(connection)
+
+    def _dispatch(self, datagrams: list[Datagram]) -> None:
+        for index, carrier in self._carriers.items():
+            mine = [datagram for datagram in datagrams if datagram.path.carrier == index]
+            if mine or carrier.backlog:
+                carrier.send(mine)
+
+    def _events(self) -> None:
+        presence_changed = False
+        while (event := self._core.next_event()) is not None:
+            if self._feed is not None:
+                self._feed.add(event)
+            if isinstance(event, MessageDelivered):
+                self._server.deliver(
+                    local_wire.Message(event.topic, event.payload, event.source, event.priority, time.time_ns())
+                )
+            elif isinstance(event, PeerUp | PeerDown):
+                presence_changed = True
+        if presence_changed:
+            self._server.tell_all(FrameType.PEERS, self._requests.peers())
+
+    def _watch(self, connection: Connection) -> None:
+        if connection.is_closed:
+            if connection in self._selector.get_map():
+                self._selector.unregister(connection)
+            self._server.remove(connection)
+            return
+        wanted = selectors.EVENT_READ if connection.is_readable else 0
+        if connection.has_output:
+            wanted |= selectors.EVENT_WRITE
+        registered = self._selector.get_map().get(connection)
+        if wanted == 0:
+            if registered is not None:
+                self._selector.unregister(connection)
+        elif registered is None:
+            self._selector.register(connection, wanted)
+        elif registered.events != wanted:
+            self._selector.modify(connection, wanted)
+
+    def _config_changed(self, config: Config) -> None:
+        self._config = config
+        about = {"name": config.name, "epoch": self._core.epoch, "config": self._requests.config_values()}
+        self._server.tell_all(FrameType.WELCOME, about)
+
+    def close(self) -> None:
+        """Close all sockets."""
+        for carrier in self._carriers.values():
+            carrier.close()
+        self._server.close()
+        self._selector.close()
+        self._wake_read.close()
+        self.wake_write.close()

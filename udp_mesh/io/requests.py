@@ -1,0 +1,120 @@
+"""What local applications ask of the daemon: publishing, subscribing, questions, settings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from time import monotonic
+
+from udp_mesh import config as configuration
+from udp_mesh import local_wire
+from udp_mesh.core.events import RefusalReason
+from udp_mesh.core.mesh import MeshCore, Refused
+from udp_mesh.io.server import Connection
+from udp_mesh.local_wire import FrameType, LocalProtocolError, Publish, Verdict
+
+
+class RequestError(Exception):
+    """A question that cannot be answered; the text goes to the application."""
+
+
+class Requests:
+    """Carries out frames. ``on_config`` is told when settings changed."""
+
+    def __init__(
+        self, core: MeshCore, config: configuration.Config, on_config: Callable[[configuration.Config], None]
+    ) -> None:
+        self._core = core
+        self._on_config = on_config
+        self.config = config
+        self.io_stats: Callable[[], dict[str, int]] = dict
+
+    def handle(self, connection: Connection, kind: int, body: memoryview) -> None:
+        """Carry out one frame; a damaged one closes the connection."""
+        try:
+            if kind == FrameType.PUBLISH:
+                self.publish(connection, local_wire.decode_publish(body))
+            elif kind == FrameType.SUBSCRIBE:
+                connection.topics.add(str(body, "utf-8"))
+            elif kind == FrameType.UNSUBSCRIBE:
+                connection.topics.discard(str(body, "utf-8"))
+            elif kind == FrameType.REQUEST:
+                self._request(connection, json.loads(bytes(body)))
+            else:
+                connection.is_closed = True
+        except (LocalProtocolError, ValueError):  # json and unicode errors are ValueErrors
+            connection.is_closed = True
+
+    def publish(self, connection: Connection, publish: Publish) -> None:
+        """Publish, or park the connection until there is room, if the application chose to wait."""
+        policy = publish.overrides.apply(self._core.settings.policy(publish.topic))
+        try:
+            message_id = self._core.publish(
+                publish.topic,
+                publish.payload,
+                to=publish.to,
+                policy=policy,
+                may_drop=not publish.waits,
+                now=monotonic(),
+            )
+        except Refused as refusal:
+            if publish.waits and refusal.reason is RefusalReason.QUEUE_FULL:
+                connection.parked = publish
+                return
+            connection.send(local_wire.encode_verdict(Verdict(publish.request, 0, refusal.reason.value)))
+        else:
+            if publish.wants_verdict:
+                connection.send(local_wire.encode_verdict(Verdict(publish.request, message_id, "")))
+        connection.parked = None
+
+    def welcome(self, connection: Connection) -> None:
+        """Greet an application with what it needs to judge its own calls."""
+        connection.send(local_wire.json_frame(FrameType.WELCOME, self._about()))
+        connection.send(local_wire.json_frame(FrameType.PEERS, self.peers()))
+
+    def _about(self) -> dict[str, object]:
+        config = self.config_values()
+        return {"name": self._core.settings.name, "epoch": self._core.epoch, "config": config}
+
+    def peers(self) -> list[dict[str, object]]:
+        """Return the state of every peer as plain values."""
+        return [asdict(peer) for peer in self._core.peers(now=monotonic())]
+
+    def config_values(self) -> dict[str, object]:
+        return configuration.describe(self.config)
+
+    def _request(self, connection: Connection, request: object) -> None:
+        if not isinstance(request, dict):
+            raise LocalProtocolError("a request has to be an object")
+        answer: dict[str, object] = {"id": request.get("id")}
+        try:
+            answer["result"] = self._answer(request)
+        except (RequestError, configuration.ConfigError, ValueError) as error:
+            answer["error"] = str(error)
+        connection.send(local_wire.json_frame(FrameType.RESPONSE, answer))
+
+    def _answer(self, request: dict[str, object]) -> object:
+        method = request.get("method")
+        if method == "peers":
+            return self.peers()
+        if method == "stats":
+            return {
+                **self._about(),
+                "counters": {**self._core.stats(), **self.io_stats()},
+                "queues": self._core.queue_depths(),
+                "peers": self.peers(),
+            }
+        if method == "config_get":
+            return self.config_values()
+        if method == "config_set":
+            return self._config_set(str(request.get("key")), str(request.get("value")))
+        raise RequestError(f"unknown method {method!r}; known are peers, stats, config_get, config_set")
+
+    def _config_set(self, key: str, value: str) -> object:
+        changed = configuration.change(self.config, key, value)
+        trace = self._core.settings.trace_fragments
+        self._core.reconfigure(changed.settings(trace_fragments=trace), now=monotonic())
+        self.config = changed
+        self._on_config(changed)
+        return self.config_values()
