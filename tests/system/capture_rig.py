@@ -1,0 +1,269 @@
+"""Two throw-away nodes joined by a veth, and a recorder. Run as a program inside namespaces of its own (see `enter`).
+
+Programs print one JSON object; the tests and the benchmark start them and judge it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from netlab.capture.handle import Recorder
+from netlab.capture.messages import RecorderStats
+from netlab.ipc import Channel
+from netlab.kernel import syscalls
+
+#: Broadcast frames of an experimental EtherType, one with the tag of VLAN 7.
+UNTAGGED = bytes.fromhex("ffffffffffff02000000000188b5") + b"payload".ljust(46, b".")
+TAGGED = UNTAGGED[:12] + bytes.fromhex("81000007") + UNTAGGED[12:]
+SENTINEL = b"the last datagram"
+ADDRESSES = {"a": "10.9.0.1", "b": "10.9.0.2"}
+
+
+def enter(program: str, *arguments: str, timeout_s: float = 60) -> dict[str, object]:
+    """Start this file with new network, mount and, unless root, user namespaces; return what it printed."""
+    user = [] if os.geteuid() == 0 else ["--map-root-user"]
+    argv = ["unshare", "--net", "--mount", *user, "--", sys.executable, __file__, program, *arguments]
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run(
+        argv, capture_output=True, text=True, timeout=timeout_s, check=False, env={**os.environ, "PYTHONPATH": path}
+    )
+    if done.returncode:
+        raise RuntimeError(f"{program} ended with {done.returncode}: {done.stderr}")
+    result: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
+    return result
+
+
+@dataclass
+class Nodes:
+    """Network namespaces by node name."""
+
+    fds: dict[str, int]
+
+    @contextlib.contextmanager
+    def inside(self, node: str) -> Iterator[None]:
+        """The calling thread visits a node."""
+        home = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
+        syscalls.setns(self.fds[node], syscalls.CLONE_NEWNET)
+        try:
+            yield
+        finally:
+            syscalls.setns(home, syscalls.CLONE_NEWNET)
+            os.close(home)
+
+    def udp(self, node: str, port: int = 0) -> socket.socket:
+        """A socket of a node."""
+        with self.inside(node):
+            sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sock.bind((ADDRESSES[node], port))
+        return sock
+
+    def start(self, node: str, argv: list[str]) -> subprocess.Popen[str]:
+        """A process in a node; its stderr is a pipe."""
+        with self.inside(node):
+            return subprocess.Popen(argv, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+
+
+def build() -> Nodes:
+    """Make nodes a and b, each with eth0, a loopback and an address; neighbours already known."""
+    fds: dict[str, int] = {}
+    for node in ADDRESSES:
+        in_thread(lambda node=node: fds.__setitem__(node, _new_namespace()))  # type: ignore[misc]
+    ends = {node: f"/proc/{os.getpid()}/fd/{fd}" for node, fd in fds.items()}
+    nodes = Nodes(fds)
+    with nodes.inside("a"):
+        run(f"ip link add eth0 type veth peer name eth0 netns {ends['b']}")
+    for node, address in ADDRESSES.items():
+        with nodes.inside(node):
+            run("ip link set lo up")
+            run("ip link set eth0 addrgenmode none")
+            run(f"ip addr add {address}/24 dev eth0")
+            run("ip link set eth0 up")
+    return nodes
+
+
+def _new_namespace() -> int:
+    syscalls.unshare(syscalls.CLONE_NEWNET)
+    return os.open("/proc/thread-self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
+
+
+def in_thread(target: Callable[[], object]) -> None:
+    """Call in a thread of its own, whose namespaces go with it."""
+    thread = threading.Thread(target=target)
+    thread.start()
+    thread.join()
+
+
+def run(command: str) -> None:
+    """Run a command, quietly."""
+    subprocess.run(command.split(), check=True, stdin=subprocess.DEVNULL)
+
+
+@dataclass
+class Recording:
+    """A recorder's process and its handle."""
+
+    recorder: Recorder
+    pid: int
+
+    def close(self) -> tuple[RecorderStats, float]:
+        """Finish the file; return its statistics and the CPU seconds that it took."""
+        stats = self.recorder.close()
+        usage = os.wait4(self.pid, 0)[2]
+        return stats, usage.ru_utime + usage.ru_stime
+
+
+def record(nodes: Nodes, path: str) -> Recording:
+    """Start a recorder on both nodes."""
+    ours, theirs = Channel.pair()
+    argv = [sys.executable, "-m", "netlab.capture.recorder", "--channel-fd", str(theirs.fileno())]
+    os.set_inheritable(theirs.fileno(), True)
+    pid = os.posix_spawn(sys.executable, argv, os.environ)
+    theirs.close()
+    recorder = Recorder(ours)
+    recorder.open(path, {"name": "rig"}, {}, nodes=len(nodes.fds))
+    for node, fd in nodes.fds.items():
+        recorder.add_interfaces(node, fd, ["eth0"])
+    recorder.sync()
+    recorder.set_t0(time.time_ns())
+    return Recording(recorder, pid)
+
+
+def beside_tcpdump(folder: str) -> dict[str, object]:
+    """Send datagrams of all sizes both ways and through lo while the recorder and tcpdump look on in node a."""
+    nodes = build()
+    options = "-i eth0 -Z root -U --immediate-mode -s 2048 -B 16384 -w"
+    tcpdump = nodes.start("a", ["tcpdump", *options.split(), f"{folder}/a.pcap"])
+    assert tcpdump.stderr is not None
+    while "listening on" not in (line := tcpdump.stderr.readline()):
+        if not line:
+            return {"tcpdump": tcpdump.wait()}
+    recording = record(nodes, f"{folder}/run.mcap")
+    a, b = nodes.udp("a", 5000), nodes.udp("b", 5000)
+    local = nodes.udp("a", 5001)
+    received = 0
+    for number in range(600):
+        a.sendto(os.urandom(1 + number * 7 % 1400), (ADDRESSES["b"], 5000))
+        b.sendto(os.urandom(1 + number * 13 % 1400), (ADDRESSES["a"], 5000))
+        a.sendto(b"over lo", (ADDRESSES["a"], 5001))
+        received += len(a.recv(2000)) > 0
+        b.recv(2000)
+        local.recv(2000)
+    a.sendto(os.urandom(6000), (ADDRESSES["b"], 5000))  # leaves as IP fragments
+    b.recv(9000)
+    a.close()
+    b.sendto(b"nobody", (ADDRESSES["a"], 5000))  # answered by an ICMP error
+    b.sendto(SENTINEL, (ADDRESSES["a"], 5000))  # and so is this
+    stats, _ = recording.close()
+    _wait_for(f"{folder}/a.pcap", SENTINEL, times=2)
+    tcpdump.terminate()
+    tcpdump.wait()
+    return {"tcpdump": 0, "packets": stats.packets, "drops": stats.kernel_drops, "received": received}
+
+
+def _wait_for(path: str, what: bytes, *, times: int) -> None:
+    """tcpdump ends at once when told to, whatever it still has to read: wait until it wrote the last packet."""
+    deadline = time.monotonic() + 20
+    while Path(path).read_bytes().count(what) < times and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
+def new_interface(folder: str) -> dict[str, object]:
+    """An interface that appears while the recorder runs, and a frame with a VLAN tag on the old one."""
+    nodes = build()
+    recording = record(nodes, f"{folder}/run.mcap")
+    with nodes.inside("a"):
+        run(f"ip link add late0 type veth peer name late0 netns /proc/{os.getpid()}/fd/{nodes.fds['b']}")
+        run("ip link set late0 addrgenmode none up")
+        old, late = (socket.socket(socket.AF_PACKET, socket.SOCK_RAW) for _ in range(2))
+        old.bind(("eth0", 0))
+    with nodes.inside("b"):
+        run("ip link set late0 addrgenmode none up")
+    with nodes.inside("a"):
+        late.bind(("late0", 0))
+    old.send(TAGGED)
+    late.send(UNTAGGED)
+    stats, _ = recording.close()
+    return {"packets": stats.packets}
+
+
+def full_disk(folder: str) -> dict[str, object]:
+    """Record onto a file system of 2 MB that fills up in the middle, and read back from outside."""
+    run(f"mount -t tmpfs -o size=2m none {folder}")
+    nodes = build()
+    recording = record(nodes, f"{folder}/run.mcap")
+    a, b = nodes.udp("a"), nodes.udp("b", 5000)
+    sent = 0
+    notices: list[str] = []
+    deadline = time.monotonic() + 20
+    while not notices and time.monotonic() < deadline:
+        for _ in range(200):
+            a.sendto(os.urandom(1400), (ADDRESSES["b"], 5000))
+            b.recv(2000)
+            sent += 1
+        notices += recording.recorder.notices()
+    a.sendto(b"the run goes on", (ADDRESSES["b"], 5000))
+    alive = b.recv(2000) == b"the run goes on"
+    stats, _ = recording.close()
+    data = Path(f"{folder}/run.mcap").read_bytes()
+    run(f"umount {folder}")
+    Path(f"{folder}/copy.mcap").write_bytes(data)
+    return {
+        "sent": sent,
+        "alive": alive,
+        "notices": notices,
+        "written": stats.messages,
+        "lost": stats.messages_lost,
+        "packets": stats.packets,
+        "size": len(data),
+    }
+
+
+def throughput(folder: str, rate_pps: str, duration_s: str) -> dict[str, object]:
+    """A paced sender of 1400-byte datagrams; the recorder sees each one twice, at a and at b."""
+    nodes = build()
+    recording = record(nodes, f"{folder}/run.mcap")
+    a, b = nodes.udp("a"), nodes.udp("b", 5000)
+    a.connect((ADDRESSES["b"], 5000))
+    rate, count = int(rate_pps), round(int(rate_pps) * float(duration_s))
+    payloads = [os.urandom(1400) for _ in range(4096)]  # enough variety that nothing compresses
+    started, before = time.monotonic(), os.times()
+    for number in range(count):
+        a.send(payloads[number % 4096])
+        if number % 10 == 0:
+            left = started + number / rate - time.monotonic()
+            if left > 0:
+                time.sleep(left)
+    elapsed_s, after = time.monotonic() - started, os.times()
+    stats, cpu_s = recording.close()
+    del b
+    return {
+        "sent": count,
+        "elapsed_s": elapsed_s,
+        "captured": stats.packets,
+        "written": stats.messages,
+        "kernel_drops": stats.kernel_drops,
+        "recorder_cpu_s": cpu_s,
+        "sender_cpu_s": after.user + after.system - before.user - before.system,
+        "file_bytes": Path(f"{folder}/run.mcap").stat().st_size,
+    }
+
+
+PROGRAMS: dict[str, Callable[..., dict[str, object]]] = {
+    "beside_tcpdump": beside_tcpdump,
+    "new_interface": new_interface,
+    "full_disk": full_disk,
+    "throughput": throughput,
+}
+
+if __name__ == "__main__":
+    print(json.dumps(PROGRAMS[sys.argv[1]](*sys.argv[2:])))

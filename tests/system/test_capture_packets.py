@@ -1,0 +1,95 @@
+"""The recorder against the kernel: what it writes is what an independent tcpdump in the node saw."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from click.testing import CliRunner
+from scapy.utils import RawPcapNgReader, RawPcapReader
+
+from netlab.capture.reader import Capture
+from netlab.capture.records import Kind, PacketRecord
+from netlab.capture.schemas import Direction
+from netlab.cli.export import export
+
+
+def _load_rig() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("capture_rig", Path(__file__).parent / "capture_rig.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["capture_rig"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+rig = _load_rig()
+
+
+def _namespaces_work() -> bool:
+    user = [] if os.geteuid() == 0 else ["--map-root-user"]
+    return (
+        subprocess.run(["unshare", "--net", "--mount", *user, "true"], capture_output=True, check=False).returncode == 0
+    )
+
+
+pytestmark = pytest.mark.skipif(not _namespaces_work(), reason="this machine allows no namespaces")
+
+
+def packets(path: Path, node: str) -> list[PacketRecord]:
+    with Capture.open(path) as capture:
+        assert not capture.notes
+        records = capture.records({Kind.PACKET}, nodes={node})
+        return [record for record in records if isinstance(record, PacketRecord)]
+
+
+@pytest.mark.skipif(shutil.which("tcpdump") is None, reason="tcpdump is missing: apt install tcpdump")
+def test_it_agrees_with_tcpdump_packet_for_packet(tmp_path: Path) -> None:
+    result = rig.enter("beside_tcpdump", str(tmp_path))
+    if result["tcpdump"]:
+        pytest.skip("tcpdump cannot start here (it gives up its privileges, which a user namespace forbids)")
+    assert result["drops"] == {}
+    ours = packets(tmp_path / "run.mcap", "a")
+    with RawPcapReader(str(tmp_path / "a.pcap")) as reader:
+        theirs = [data for data, _ in reader]
+    assert len(theirs) > 1200
+    assert [record.frame for record in ours if record.interface == "eth0"] == theirs
+    assert {record.interface for record in ours} == {"eth0"}  # nothing of the loopback
+    directions = Counter(record.direction for record in ours)
+    assert directions[Direction.OUTBOUND] > 600
+    assert directions[Direction.INBOUND] > 600
+    heard = {record.frame: record for record in packets(tmp_path / "run.mcap", "b")}
+    sent = [record for record in ours if record.direction is Direction.OUTBOUND]
+    assert all(0 <= heard[record.frame].t_ns - record.t_ns < 10**9 for record in sent)  # one clock, cause before effect
+    exported = tmp_path / "run.pcapng"
+    assert CliRunner().invoke(export, [str(tmp_path / "run.mcap"), "-o", str(exported)]).exit_code == 0
+    with RawPcapNgReader(str(exported)) as reader:
+        assert [data for data, meta in reader if meta.ifname == b"a/eth0"] == theirs
+
+
+def test_an_interface_that_appears_later_is_captured_and_tags_are_kept(tmp_path: Path) -> None:
+    rig.enter("new_interface", str(tmp_path))
+    for node in ("a", "b"):
+        frames = {record.interface: record.frame for record in packets(tmp_path / "run.mcap", node)}
+        assert frames == {"eth0": rig.TAGGED, "late0": rig.UNTAGGED}, node
+
+
+def test_a_full_disk_ends_the_recording_not_the_run(tmp_path: Path) -> None:
+    result = rig.enter("full_disk", str(tmp_path))
+    assert result["alive"] is True
+    assert len(result["notices"]) == 1
+    assert "No space left on device" in result["notices"][0]
+    assert result["lost"] > 0
+    assert result["written"] > 100
+    assert result["written"] + result["lost"] == result["packets"]
+    with Capture.open(tmp_path / "copy.mcap") as capture:
+        assert sum(1 for _ in capture.records({Kind.PACKET})) == result["written"]
+        assert capture.metadata["name"] == "rig"
