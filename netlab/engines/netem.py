@@ -13,7 +13,8 @@ from netlab.engines import netem_plan
 from netlab.engines.base import LabPlan, Pair
 from netlab.engines.netem_plan import Device, Entry, Exit, Far
 from netlab.errors import MachineError
-from netlab.kernel import pairs, tc
+from netlab.kernel import pairs as pair_veths
+from netlab.kernel import tc
 from netlab.kernel.netem import uses_table
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.kernel.probe import TcFeatures, tc_features
@@ -77,6 +78,7 @@ class NetemEngine:
             MachineError: sch_netem cannot express one of them (then none is changed), or the kernel refuses.
             ValueError: Unknown pair.
         """
+        self._up()
         self._check_known(changes)
         found = [netem_plan.inexpressible_pair(self._plan, pair, imp) for pair, imp in changes.items()]
         refused = [text for text in found if text is not None]
@@ -92,6 +94,7 @@ class NetemEngine:
             MachineError: The kernel refuses.
             ValueError: Unknown pair.
         """
+        self._up()
         self._check_known(pairs)
         self._outages = self._outages | pairs if active else self._outages - pairs
         self._apply(pairs)
@@ -117,7 +120,7 @@ class NetemEngine:
         self._sock = NetlinkSocket()
         self._wiring = build(self._plan.nodes, _veths(self._plan))
         self._ifindex = {Far(port): index for port, index in enumerate(self._wiring.peer_ifindex)}
-        made = pairs.create(self._sock, [_pair_ifnames(pair) for pair in self._layout.pair_veths])
+        made = pair_veths.create(self._sock, [_pair_ifnames(pair) for pair in self._layout.pair_veths])
         self._group = made.group
         for pair, (near, far) in zip(self._layout.pair_veths, made.indices, strict=True):
             self._ifindex[Entry(pair)], self._ifindex[Exit(pair)] = near, far
@@ -188,7 +191,7 @@ class NetemEngine:
     def _undo(self) -> None:
         if self._sock is not None:
             if self._group is not None:
-                pairs.delete(self._sock, self._group)
+                pair_veths.delete(self._sock, self._group)
             self._sock.close()
         if self._wiring is not None:
             self._wiring.close()
