@@ -18,9 +18,9 @@ class Names:
     """The nodes that may be referred to."""
 
     def __init__(self, scenario: Scenario, doubt: Doubt) -> None:
-        self._known = [*scenario.nodes, *sorted(doubt.nodes)]
+        self._known = doubt.nodes or tuple(scenario.nodes)
         self._all = frozenset(self._known)
-        self.certain = not ("nodes" in doubt.sections and not doubt.nodes) and "generate" not in doubt.sections
+        self.certain = "nodes" not in doubt.sections and "generate" not in doubt.sections
 
     def complaint(self, name: str) -> str | None:
         """What is wrong with a reference to ``name``, or None."""

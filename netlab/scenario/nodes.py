@@ -165,6 +165,10 @@ class Node(StrictModel):
             raise ValueError(f"two processes are called '{twice[0]}'; give one another name:")
         return self
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), {"type": "null"}]}
+
     def process(self, name: str) -> Process | None:
         """The process of that name, or None."""
         return next((process for process in self.processes if process.name == name), None)

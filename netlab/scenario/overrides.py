@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from netlab.errors import ScenarioError
 from netlab.scenario.document import Document, Path, dotted
 from netlab.scenario.quantities import describe
 from netlab.scenario.yaml_source import read_value
@@ -22,8 +21,8 @@ def apply_overrides(document: Document, overrides: Sequence[str]) -> list[str]:
         try:
             path, value = _parse(override)
             set_value(document, path, value, origin=origin)
-        except (ValueError, ScenarioError) as error:
-            problems.append(f"{origin}: {str(error).removeprefix('value:1: ')}")
+        except ValueError as error:
+            problems.append(f"{origin}: {error}")
     return problems
 
 

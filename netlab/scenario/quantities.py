@@ -108,7 +108,7 @@ DURATION = Dimension(
     "a duration",
     "20ms",
     {unit: Decimal(factor) for factor, units in _SECONDS.items() for unit in units},
-    ("us", "ms", "s", "min", "h"),
+    ("us", "ms", "s"),
     hints={"m": "'m' could be minutes or milliseconds; write ms or min"},
 )
 _RATES = _units(bit="1", kbit="1e3", mbit="1e6", gbit="1e9", tbit="1e12") | _units(

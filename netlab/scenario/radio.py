@@ -7,7 +7,8 @@ import io
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, ValidationInfo, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, GetJsonSchemaHandler, ValidationInfo, WithJsonSchema, model_validator
+from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NotYet, Problems, StrictModel, not_yet
 from netlab.scenario.links import Ends
@@ -120,6 +121,10 @@ class TablePair(Ends, Words):
 class TableDefault(Words):
     """Words of the pairs that a table does not name."""
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"const": "out_of_range"}, handler(schema)]}
+
 
 def _table_default(value: object) -> object:
     if isinstance(value, str) and value != "out_of_range":
@@ -138,11 +143,7 @@ class Propagation(StrictModel):
         BeforeValidator(lambda value: not_yet(value, ("none", "table"), _LATER_MODELS, "propagation model")),
     ]
     pairs: tuple[TablePair, ...] = ()
-    default: Annotated[
-        TableDefault | None,
-        BeforeValidator(_table_default),
-        WithJsonSchema({"anyOf": [{"const": "out_of_range"}, Words.model_json_schema()]}),
-    ] = None
+    default: Annotated[TableDefault | None, BeforeValidator(_table_default)] = None
     file: Annotated[LinkTrace, BeforeValidator(_link_trace), WithJsonSchema({"type": "string"})] | None = None
     corner_loss: NotYet = None
     exponent: NotYet = None

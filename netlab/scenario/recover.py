@@ -32,11 +32,11 @@ _STAND_INS = {
 class Doubt:
     """What a check must not conclude from, because part of the file was taken out.
 
-    ``nodes`` are names whose blocks are wrong; ``sections`` are top-level keys that are incomplete.
-    ``indexes`` gives, per list section, the place in the file of each entry that is left.
+    ``nodes`` are the names of all nodes of the file, wrong ones too; ``sections`` are the top-level keys that are
+    incomplete. ``indexes`` gives, per list section, the place in the file of each entry that is left.
     """
 
-    nodes: frozenset[str] = frozenset()
+    nodes: tuple[str, ...] = ()
     sections: frozenset[str] = frozenset()
     indexes: Mapping[str, Sequence[int]] | None = None
 
@@ -56,7 +56,8 @@ def remains(data: dict[str, Any], wrong: Collection[Path], read: ReadText | None
     for section in {str(path[0]) for path in wrong if path} - {"nodes", *_LISTS}:
         kept.pop(section, None)
     kept |= {"name": kept.get("name", "x"), "duration": kept.get("duration", "1000h")}
-    nodes = _drop_nodes(kept, wrong)
+    nodes = tuple(kept["nodes"]) if isinstance(kept.get("nodes"), dict) else ()
+    _drop_nodes(kept, wrong)
     sections = {str(path[0]) for path in wrong if len(path) == 1}
     for section in sections & set(_LISTS):
         kept.pop(section, None)
@@ -67,13 +68,12 @@ def remains(data: dict[str, Any], wrong: Collection[Path], read: ReadText | None
     return None if scenario is None else (scenario, Doubt(nodes, frozenset(sections), indexes))
 
 
-def _drop_nodes(kept: dict[str, Any], wrong: Collection[Path]) -> frozenset[str]:
-    """Take the wrong nodes out of ``kept`` and return their names."""
-    names = frozenset(str(path[1]) for path in wrong if len(path) > 1 and path[0] == "nodes")
+def _drop_nodes(kept: dict[str, Any], wrong: Collection[Path]) -> None:
+    """Take the wrong nodes out of ``kept``."""
+    names = {str(path[1]) for path in wrong if len(path) > 1 and path[0] == "nodes"}
     nodes = kept.get("nodes")
     if isinstance(nodes, dict):
         kept["nodes"] = {name: body for name, body in nodes.items() if name not in names} or {"x": {}}
-    return names
 
 
 def _repair(kept: dict[str, Any], path: Path) -> None:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationInfo, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, WithJsonSchema, model_validator
+from pydantic_core import CoreSchema
 
 from netlab.scenario.base import StrictModel
 from netlab.scenario.quantities import SIZE, BitsPerSecond, Ratio, Seconds, describe
@@ -108,6 +109,10 @@ class Loss(StrictModel):
     def _from_percentage(cls, value: object) -> object:
         return value if isinstance(value, (dict, Loss)) else {"ratio": value}
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"type": "string", "examples": ["2%"]}, handler(schema)]}
+
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
         models = ("ratio", "gemodel", "state", "periodic", "trace")
@@ -130,6 +135,10 @@ class Chance(StrictModel):
     @classmethod
     def _from_percentage(cls, value: object) -> object:
         return value if isinstance(value, (dict, Chance)) else {"ratio": value}
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"type": "string", "examples": ["2%"]}, handler(schema)]}
 
 
 class Reorder(Chance):

@@ -58,16 +58,21 @@ def read_value(text: str) -> Any:
     """Parse a single YAML value, as after `--set key=`.
 
     Raises:
-        ScenarioError: Not YAML; the problems name no file.
+        ValueError: Not YAML; the text says why.
     """
-    root = _compose(text, "value")
-    if root is None:
-        return None
-    converter = _Converter("value")
-    value = converter.convert(root, ())
+    try:
+        root = _compose(text, "")
+        converter = _Converter("")
+        value = None if root is None else converter.convert(root, ())
+    except ScenarioError as error:
+        raise ValueError(_without_line(error.problems[0])) from None
     if converter.problems:
-        raise ScenarioError(converter.problems)
+        raise ValueError(_without_line(converter.problems[0]))
     return value
+
+
+def _without_line(problem: str) -> str:
+    return re.sub(r"^:\d+: |^: ", "", problem)
 
 
 def _compose(text: str, name: str) -> yaml.Node | None:
@@ -75,7 +80,7 @@ def _compose(text: str, name: str) -> yaml.Node | None:
         _refuse_deep_nesting(text, name)
         root: yaml.Node | None = yaml.compose(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
-        raise ScenarioError([_syntax_problem(error, name)]) from None
+        raise ScenarioError([_syntax_problem(error, text, name)]) from None
     except (yaml.YAMLError, UnicodeError) as error:
         raise ScenarioError([f"{name}: not YAML: {' '.join(str(error).split())}"]) from None
     return root
@@ -93,13 +98,14 @@ def _refuse_deep_nesting(text: str, name: str) -> None:
             depth -= 1
 
 
-def _syntax_problem(error: yaml.MarkedYAMLError, name: str) -> str:
+def _syntax_problem(error: yaml.MarkedYAMLError, source: str, name: str) -> str:
     mark = error.problem_mark or error.context_mark
     line = f":{mark.line + 1}" if mark else ""
     if isinstance(error, yaml.composer.ComposerError) and "another document" in str(error.problem):
         return f"{name}{line}: a second document begins; a file holds one scenario"
     text = ", ".join(part for part in (error.context, error.problem) if part)
-    hint = "; indent with spaces, not tabs" if "\\t" in text or "'\t'" in text else ""
+    at_tab = mark is not None and "\t" in "".join(source.splitlines()[mark.line : mark.line + 1])[: mark.column + 1]
+    hint = "; indent with spaces, not tabs" if at_tab else ""
     return f"{name}{line}: not YAML: {text}{hint}"
 
 
