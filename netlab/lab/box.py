@@ -21,6 +21,7 @@ from netlab.errors import MachineError
 from netlab.kernel import syscalls
 from netlab.kernel.probe import explain_userns_denied
 
+STOP_LIMIT_S = 4
 GRACE_S = 0.6  # nothing of a lab may be left a second after its owner's death
 
 _NAMESPACES = (
@@ -85,11 +86,12 @@ def _wait(pid: int, lifeline_fd: int | None) -> int:
     def forward(signum: int, _frame: object) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signum)
+        signal.alarm(STOP_LIMIT_S)  # whoever asked for the end gets it, even from a supervisor that hangs
 
     for signum in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(signum, forward)
-    watched = [pidfd] if lifeline_fd is None else [pidfd, lifeline_fd]
-    if pidfd not in select.select(watched, [], [])[0]:
+    signal.signal(signal.SIGALRM, lambda _signum, _frame: os.kill(pid, signal.SIGKILL))
+    if lifeline_fd is not None and pidfd not in select.select([pidfd, lifeline_fd], [], [])[0]:
         forward(signal.SIGTERM, None)
         if not select.select([pidfd], [], [], GRACE_S)[0]:
             forward(signal.SIGKILL, None)

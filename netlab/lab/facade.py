@@ -8,6 +8,7 @@ with Lab("topologies/pair.yaml") as lab:
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import tempfile
@@ -21,6 +22,7 @@ import yaml
 
 import netlab
 from netlab.errors import LabError
+from netlab.lab.control import ControlClient
 from netlab.lab.launch import LabProcess, LaunchOptions, launch
 from netlab.lab.results import RunResult, evaluate_run
 from netlab.scenario import load_scenario, parse_scenario
@@ -187,8 +189,7 @@ class Lab:
             stdin.seek(0)
             connection = self._running.connect()
             try:
-                cwd = str(Path.cwd())
-                request = {"do": "exec", "node": node, "argv": argv, "env": dict(env or {}), "cwd": cwd}
+                request = _exec_request(node, argv, env)
                 connection.request(request, [stdin.fileno(), out.fileno(), err.fileno()])
                 try:
                     status = connection.next_reply(timeout_s=timeout_s)["exit"]
@@ -203,6 +204,24 @@ class Lab:
             return subprocess.CompletedProcess(
                 argv, status, out.read().decode(errors="replace"), err.read().decode(errors="replace")
             )
+
+    def spawn(self, node: str, *argv: str, env: Mapping[str, str] | None = None) -> ControlClient:
+        """Start a command in a node and leave it running, its output thrown away.
+
+        Closing the returned connection ends it; ``next_reply()`` on it waits for ``{"exit": status}``.
+
+        Raises:
+            LabError: Unknown node or program.
+        """
+        connection = self._running.connect()
+        request = _exec_request(node, argv, env)
+        with Path(os.devnull).open("r+b") as null:
+            try:
+                connection.request(request, [null.fileno()] * 3)
+            except BaseException:
+                connection.close()
+                raise
+        return connection
 
     def outage(self, a: str, b: str, *, active: bool, one_way: bool = False) -> None:
         """Lose everything between two nodes silently (the carrier stays up), or end that."""
@@ -241,3 +260,7 @@ class Lab:
             return connection.request(request, timeout_s=timeout_s)
         finally:
             connection.close()
+
+
+def _exec_request(node: str, argv: Sequence[str], env: Mapping[str, str] | None) -> dict[str, Any]:
+    return {"do": "exec", "node": node, "argv": list(argv), "env": dict(env or {}), "cwd": str(Path.cwd())}

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from netlab.errors import LabError
 from netlab.ipc import Channel
-from netlab.lab.spawner import AddNode, Exited, Spawn, Spawned
+from netlab.lab.spawn_messages import AddNode, Exited, Spawn, Spawned
 
 TAIL_LINES = 20
 

@@ -18,12 +18,12 @@ import socket
 import sys
 import termios
 import traceback
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from netlab.ipc import Channel
 from netlab.kernel import syscalls
 from netlab.lab.isolation import enter_new_node
+from netlab.lab.spawn_messages import AddNode, Exited, Spawn, Spawned
 
 #: Programs that are called in the forked child instead of executed; the key stands as argv[0].
 BUILTIN_PROGRAMS = {
@@ -31,48 +31,6 @@ BUILTIN_PROGRAMS = {
     "netlab-traffic-source": "netlab.lab.traffic:source_main",
     "netlab-traffic-sink": "netlab.lab.traffic:sink_main",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class AddNode:
-    """Announce a node; its network namespace comes as the message's descriptor."""
-
-    node: str
-    hosts: str
-    keep: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Spawn:
-    """Start a process. The message's descriptors become ``fd_numbers`` in the child; all others are closed.
-
-    With ``tty`` the child leads a session of its own whose terminal is descriptor 0.
-    """
-
-    token: int
-    node: str
-    argv: tuple[str, ...]
-    env: Mapping[str, str]
-    cwd: str
-    fd_numbers: tuple[int, ...]
-    tty: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Spawned:
-    """Answer to a Spawn: the process id in the lab, or why it could not be started."""
-
-    token: int
-    pid: int
-    error: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Exited:
-    """A child ended; ``status`` is negative for a signal, as in subprocess."""
-
-    pid: int
-    status: int
 
 
 @dataclass(slots=True)
@@ -127,6 +85,8 @@ class _Spawner:
                 self._channel.send(self._spawn(message, fds))
                 for fd in fds:
                     os.close(fd)
+            case _:
+                raise TypeError(f"not a request to the fork server: {message!r}")
         return True
 
     def _reap(self) -> None:
