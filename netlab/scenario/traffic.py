@@ -25,8 +25,8 @@ def _whole(value: float) -> int:
 
 MessageSize = Annotated[
     int,
-    AfterValidator(_whole),
     Quantity(SIZE, minimum=HEADER_BYTES, maximum=_MOST_BYTES),
+    AfterValidator(_whole),  # behind Quantity, which replaces what stands before it
 ]
 
 
