@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchem
 from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
-from netlab.scenario.quantities import SIZE, PositiveSeconds, describe
+from netlab.scenario.quantities import DURATION, SIZE, PositiveSeconds, Quantity, describe
 from netlab.scenario.radio import node_radio
 
 BUILTIN_PROCESSES = ("udp_mesh",)
@@ -25,6 +25,9 @@ def _whole_bytes(value: object) -> int:
 
 
 WholeBytes = Annotated[int, BeforeValidator(_whole_bytes), WithJsonSchema({"type": ["integer", "string"]})]
+
+
+BeaconInterval = Annotated[float, Quantity(DURATION, minimum=0.05, maximum=60.0)]
 
 
 class TopicSettings(StrictModel):
@@ -46,15 +49,18 @@ class TopicSettings(StrictModel):
 
 
 class MeshSettings(StrictModel):
-    """Settings of the udp_mesh daemon, at top level or in a node (which wins); None leaves the daemon's default."""
+    """Settings of the udp_mesh daemon, at top level or in a node (which wins); None leaves the daemon's default.
+
+    The bounds are the daemon's own (udp_mesh.config), so that a wrong value is found before anything starts.
+    """
 
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
-    window: Annotated[int, Field(ge=0, le=65535)] | None = None
+    window: Annotated[int, Field(ge=0, le=100_000)] | None = None
     prioritise: Switch | None = None
     probe: Switch | None = None
-    payload_bytes: Annotated[WholeBytes, Field(ge=64, le=65507)] | None = None
-    beacon_interval_s: PositiveSeconds | None = Field(default=None, alias="beacon_interval")
-    queue_bytes: Annotated[WholeBytes, Field(ge=1)] | None = None
+    payload_bytes: Annotated[WholeBytes, Field(ge=256, le=65_000)] | None = None
+    beacon_interval_s: BeaconInterval | None = Field(default=None, alias="beacon_interval")
+    queue_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 30)] | None = None
     topics: dict[Topic, TopicSettings] | None = None
     coordinate: NotYet = None
     key: NotYet = None

@@ -22,7 +22,7 @@ _NULLS = frozenset({"", "~", "null", "Null", "NULL"})
 _BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
 _STANDARD_TAG = "tag:yaml.org,2002:"
 _MAX_DEPTH = 60  # the C composer recurses without a guard of its own
-_MAX_PARTS = 2_000_000  # aliases can multiply a small file without bound
+_MAX_PARTS = 500_000  # aliases can multiply a small file without bound
 
 
 def plain_scalar(text: str) -> str | int | float | bool | None:
