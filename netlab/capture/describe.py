@@ -43,6 +43,7 @@ def describe_mesh(mesh: Dissection) -> str:
     parts += [f"beacon {beacon.name}" for beacon in mesh.beacons]
     parts += [f"probe for {len(mesh.probes)}"] if mesh.probes else []
     parts += [f"floor {floor}" for floor in mesh.floors]
+    parts += [f"purged m{message_id}" for message_id in mesh.purged]
     parts += ["ping"] if mesh.pings else []
     return "; ".join(parts) or "empty"
 

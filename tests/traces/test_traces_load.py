@@ -1,0 +1,224 @@
+"""From a file with real udp_mesh datagrams to a trace."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from netlab.capture.schemas import Direction, encode_packet, encode_packet_names, encode_verdict, encode_verdict_ends
+from netlab.capture.topics import Topics
+from netlab.capture.writer import CaptureWriter
+from netlab.cli.inspect import inspect
+from netlab.errors import CaptureError
+from netlab.medium.verdicts import Verdict
+from netlab.traces.inversions import inversions
+from netlab.traces.load import load_trace
+from netlab.traces.model import Trace
+from netlab.traces.retransmissions import retransmissions
+from netlab.traces.streams import stream_report
+from udp_mesh.core import wire
+
+T0_NS = 1_800_000_000_000_000_000
+EPOCHS = {"a": 7 << 32 | 0xA, "b": 9 << 32 | 0xB}
+STREAMS = [
+    {"stream": 0, "source": "a", "destination": "b", "topic": "telemetry", "priority": 1, "keep": "all"},
+    {"stream": 1, "source": "a", "destination": "b", "topic": "bulk", "priority": 9, "keep": "latest"},
+]
+PORTS = [
+    {"node": "a", "interface": "eth0", "address": "10.1.0.1/24", "rate_bps": 1e7},
+    {"node": "b", "interface": "eth0", "address": "10.1.0.2/24", "rate_bps": None},
+]
+
+
+def frame(sender: str, body: bytes, *, number: int, broadcast: bool = False) -> bytes:
+    receiver = "b" if sender == "a" else "a"
+    tag, flags = (0, wire.FLAG_UNNUMBERED) if broadcast else (wire.tag_of(EPOCHS[receiver]), 0)
+    payload = wire.encode_header(epoch=EPOCHS[sender], destination_tag=tag, packet_number=number, flags=flags) + body
+    ends = bytes([10, 1, 0, 1, 10, 1, 0, 2]) if sender == "a" else bytes([10, 1, 0, 2, 10, 1, 0, 1])
+    udp = struct.pack("!HHHH", 8700, 8700, 8 + len(payload), 0) + payload
+    return bytes(12) + b"\x08\x00" + struct.pack("!BBHHHBBH", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + ends + udp
+
+
+def data(stream: int, seq: int, *, message_id: int, index: int = 0, count: int = 1) -> bytes:
+    topic, priority = STREAMS[stream]["topic"], STREAMS[stream]["priority"]
+    payload = struct.pack("<4sHIQ", b"NLT1", stream, seq, T0_NS) + bytes(100) if index == 0 else bytes(118)
+    head = wire.encode_data_header(
+        message_id=message_id,
+        priority=int(str(priority)),
+        index=index,
+        count=count,
+        payload_bytes=len(payload),
+        topic=str(topic).encode(),
+    )
+    return head + payload
+
+
+class Writer:
+    def __init__(self, path: Path, metadata: dict[str, str] | None = None) -> None:
+        self.path, self.writer = path, CaptureWriter(path)
+        self.topics = Topics(self.writer)
+        base = {"name": "pair", "t0_ns": str(T0_NS), "duration_s": "2.0"}
+        told = {"streams": json.dumps(STREAMS), "ports": json.dumps(PORTS)}
+        self.writer.add_metadata("netlab.run", base | told | (metadata or {}))
+
+    def packet(self, node: str, at_s: float, content: bytes, direction: Direction) -> None:
+        channel, linktype = self.topics.packets(node, "eth0", 1)
+        names, crc = encode_packet_names(node, "eth0"), zlib.crc32(content)
+        head = encode_packet(crc, len(content), linktype, direction, names, len(content))
+        t_ns = T0_NS + round(at_s * 1e9)
+        self.writer.add_message(channel, t_ns, t_ns, head, content)
+
+    def crossing(self, at_s: float, content: bytes, verdict: Verdict = Verdict.DELIVERED) -> None:
+        self.packet("a", at_s, content, Direction.OUTBOUND)
+        t_ns = T0_NS + round(at_s * 1e9)
+        ends = encode_verdict_ends(("a", "eth0"), ("b", "eth0"))
+        body = encode_verdict(ends, verdict, 0, len(content), zlib.crc32(content))
+        self.writer.add_message(self.topics.verdicts(), t_ns, t_ns, body)
+        if verdict is Verdict.DELIVERED:
+            self.packet("b", at_s + 0.02, content, Direction.INBOUND)
+
+    def json(self, topic: str, at_s: float, /, **payload: object) -> None:
+        t_ns = T0_NS + round(at_s * 1e9)
+        self.topics.add_json(topic, {"t_ns": t_ns, **payload}, t_ns)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    writer = Writer(tmp_path / "run.mcap")
+    writer.json("/timeline", 0.0, kind="start", label="t = 0", at_s=0.0, restores=None)
+    writer.json("/a/udp_mesh/events", -0.5, event="peer_up", peer="b", reason="discovered")
+    beacon = wire.encode_hello(name="b", beacon_interval_s=1, floor=0)
+    writer.packet("b", 0.001, frame("b", beacon, number=1), Direction.OUTBOUND)
+    writer.json("/a/traffic/published", 0.1, event="published", stream=1, seq=0, size_bytes=236, accepted=True)
+    writer.crossing(0.101, frame("a", data(1, 0, message_id=5, index=0, count=2), number=1))
+    writer.json("/a/traffic/published", 0.11, event="published", stream=0, seq=0, size_bytes=118, accepted=True)
+    writer.crossing(0.115, frame("a", data(1, 0, message_id=5, index=1, count=2), number=2), Verdict.LOST)
+    writer.crossing(0.120, frame("a", data(0, 0, message_id=6), number=3))
+    received = {"stream": 0, "seq": 0, "published_ns": T0_NS + 110_000_000, "size_bytes": 118, "source": "a"}
+    writer.json("/b/traffic/received", 0.141, event="received", **received)
+    writer.crossing(0.2, frame("a", data(1, 0, message_id=5, index=1, count=2), number=4))
+    writer.json("/a/udp_mesh/events", 0.3, event="window", peer="b", cwnd_bytes=6000, in_flight_bytes=0)
+    writer.json("/a/udp_mesh/events", 1.0, event="peer_down", peer="b", reason="silent")
+    writer.json("/timeline", 1.2, kind="outage", label="outage a-b ends", at_s=1.2, restores=["a", "b"])
+    writer.writer.close()
+    return writer.path
+
+
+def test_a_capture_becomes_a_trace(run: Path) -> None:
+    trace = load_trace(run)
+    assert (trace.t0_ns, trace.duration_s, trace.notes) == (T0_NS, 2.0, [])
+    assert [(step.at_s, step.restores) for step in trace.timeline] == [(0.0, None), (1.2, ("a", "b"))]
+    fragments = trace.fragments["a"]
+    assert [(entry.message_id, entry.index, entry.count, entry.priority) for entry in fragments] == [
+        (5, 0, 2, 9),
+        (5, 1, 2, 9),
+        (6, 0, 1, 1),
+        (5, 1, 2, 9),
+    ]
+    assert {entry.destination for entry in fragments} == {"b"}  # known by b's own datagrams
+    assert [entry.message for entry in fragments] == [(1, 0), (1, 0), (0, 0), (1, 0)]
+    assert "b" not in trace.fragments  # what b hears is not what b sends
+    assert trace.rates_bps == {("a", "eth0"): 1e7}
+    assert trace.streams[1].keeps_latest
+    assert trace.presence["a", "b"].at(T0_NS)
+    assert not trace.presence["a", "b"].at(T0_NS + 1_100_000_000)
+    assert trace.windows["a", "b"][0].cwnd_bytes == 6000
+    assert trace.links[("a", "eth0"), ("b", "eth0")].verdicts == {Verdict.DELIVERED: 3, Verdict.LOST: 1}
+
+
+def test_the_questions_work_on_it(run: Path) -> None:
+    trace = load_trace(run)
+    assert len(retransmissions(trace, "a")) == 1
+    (found,) = inversions(trace, "a")
+    assert (found.fragment.message_id, found.fragment.index, found.seq) == (5, 1, 0)
+    report = stream_report(trace, trace.streams[0])
+    assert (report.sent, report.delivered) == (1, 1)
+    assert report.latency is not None
+    assert report.latency.max == pytest.approx(0.031)
+
+
+def test_a_publication_to_all_belongs_to_each_of_its_streams(tmp_path: Path) -> None:
+    streams = [STREAMS[0], STREAMS[0] | {"stream": 1, "destination": "c"}]
+    writer = Writer(tmp_path / "all.mcap", {"streams": json.dumps(streams)})
+    for stream in (0, 1):
+        writer.json("/a/traffic/published", 0.1, event="published", stream=stream, publication=0, seq=0, size_bytes=118)
+    writer.crossing(0.2, frame("a", data(0, 0, message_id=6), number=3, broadcast=True))
+    writer.writer.close()
+    trace = load_trace(writer.path)
+    assert [trace.published[stream][0].publication for stream in (0, 1)] == [0, 0]
+    assert [entry.destination for entry in trace.fragments["a"]] == ["all"]
+    assert [entry.message for entry in trace.fragments["a"]] == [(0, 0)]
+
+
+def test_a_capture_without_metadata_is_an_empty_trace(tmp_path: Path) -> None:
+    writer = CaptureWriter(tmp_path / "bare.mcap")
+    Topics(writer).add_json("/timeline", {"kind": "start"}, T0_NS)
+    writer.close()
+    trace = load_trace(tmp_path / "bare.mcap")
+    assert isinstance(trace, Trace)
+    assert (trace.t0_ns, trace.streams, len(trace.timeline)) == (T0_NS, (), 1)
+
+
+@pytest.mark.parametrize("streams", ["no json", '[{"stream": 1}]', '[{"stream": "x", "source": 1}]', "[3]", "17"])
+def test_damaged_metadata_is_one_clear_error(tmp_path: Path, streams: str) -> None:
+    writer = Writer(tmp_path / "odd.mcap", {"streams": streams})
+    writer.writer.close()
+    with pytest.raises(CaptureError, match=r"odd\.mcap: metadata of the run is damaged"):
+        load_trace(writer.path)
+
+
+def look(run: Path, *arguments: str) -> list[str]:
+    result = CliRunner().invoke(inspect, [str(run), *arguments])
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    return result.stdout.splitlines()
+
+
+def test_inspect_summarises(run: Path) -> None:
+    text = "\n".join(look(run))
+    assert "telemetry a->b" in text
+    assert "outage a-b ends" in text
+    assert max(map(len, text.splitlines()[3:])) <= 100
+    told = json.loads("".join(look(run, "--json")))
+    assert told["messages"]["/a/eth0/packets"] == 4
+    assert told["streams"][0]["delivered"] == 1
+
+
+def test_inspect_lists_packets_by_every_filter(run: Path) -> None:
+    assert len(look(run, "--kind", "packets")) == 8
+    assert len(look(run, "--kind", "packets", "--node", "a")) == 4
+    assert len(look(run, "--kind", "packets", "--node", "b", "--peer", "a")) == 4
+    assert len(look(run, "--kind", "packets", "--node", "b", "--peer", "z")) == 0
+    assert (
+        len(look(run, "--kind", "packets", "--node", "a", "--topic", "bulk")) == 3
+    )  # fragment 1 has no topic of its own
+    assert len(look(run, "--kind", "packets", "--node", "a", "--priority", "1")) == 1
+    assert len(look(run, "--kind", "packets", "--from-s", "0.1", "--to-s", "0.12")) == 2
+    assert len(look(run, "--kind", "packets", "--limit", "2")) == 2
+    (line,) = look(run, "--kind", "packets", "--node", "a", "--topic", "telemetry")
+    assert (
+        line.strip() == "0.120000  a/eth0           -> 10.1.0.1 > 10.1.0.2 mesh #3 data p1 m6 1/1 telemetry s0#0 118 B"
+    )
+
+
+def test_inspect_lists_the_other_kinds(run: Path) -> None:
+    assert [line.split()[-2:] for line in look(run, "--kind", "verdicts", "--node", "b")][1] == ["197", "B"]
+    assert "lost" in look(run, "--kind", "verdicts")[1]
+    assert len(look(run, "--kind", "timeline", "--node", "a")) == 2
+    assert len(look(run, "--kind", "events", "--peer", "b")) == 3
+    bulk, telemetry = look(run, "--kind", "messages")
+    assert bulk.endswith("2 fragments +1 again not delivered")
+    assert telemetry.endswith("delivered after 31.0 ms")
+    (as_json,) = look(run, "--kind", "messages", "--priority", "1", "--json")
+    assert json.loads(as_json)["latency_s"] == pytest.approx(0.031)
+    for kind in ("packets", "verdicts", "events", "timeline"):
+        assert all(json.loads(line)["t_ns"] for line in look(run, "--kind", kind, "--json"))
+
+
+def test_filters_alone_choose_a_sensible_kind(run: Path) -> None:
+    assert "delivered after" in look(run, "--topic", "telemetry")[0]
+    assert "a/eth0" in look(run, "--node", "a")[0]
