@@ -7,8 +7,8 @@ Theory of operation.
   are a second apart, and the peer's return would wait for them.
 * While this node has, or had in the last ten minutes, something for an offline peer, it broadcasts PROBE frames: every
   25 ms for two minutes, then each second; one for all such peers. Whom it names answers by broadcast. No back-off.
-* Any packet revives a peer. One exception: a peer that was heard although it did not answer does not hear us; it
-  returns when a unicast or an answer shows that it does.
+* Any packet revives a peer. One exception: a peer that was heard although it did not answer does not hear us; it is
+  searched for, and returns when a unicast or an answer shows that it does.
 """
 
 from __future__ import annotations
@@ -120,9 +120,11 @@ class Liveness:
         peer.last_heard_s = now
         self._follow_path(peer, path, now=now)
         if hears_us:
+            peer.is_proven = True
             peer.needs_evidence = False
             peer.waiting_since_s = now if len(peer.session.recovery) else None
-        if not peer.is_online and not peer.needs_evidence:
+        # Only a probe's answer can give evidence: where nobody probes, hearing the peer has to do.
+        if not peer.is_online and not (peer.needs_evidence and self._is_sought(peer, now=now)):
             self._come_up(peer, PeerUpReason.RETURNED, now=now)
 
     def _follow_path(self, peer: Peer, path: Path, *, now: float) -> None:
@@ -178,8 +180,9 @@ class Liveness:
         was_waiting = peer.waiting_since_s is not None and len(peer.session.recovery) > 0
         reason = PeerDownReason.SILENT if was_waiting else PeerDownReason.BEACONS_MISSED
         if was_waiting and peer.waiting_since_s is not None:
-            peer.needs_evidence = peer.last_heard_s > peer.waiting_since_s
+            peer.needs_evidence = not peer.is_proven or peer.last_heard_s > peer.waiting_since_s
         peer.is_online = False
+        peer.is_proven = False
         peer.down_since_s = now
         peer.waiting_since_s = None
         peer.session.ping_wanted = False
@@ -225,13 +228,12 @@ class Liveness:
         return self._hello() + wire.encode_probe([peer.session.tag for peer in self._sought(now=now)][: wire.MAX_TAGS])
 
     def _sought(self, *, now: float) -> list[Peer]:
-        if not self._state.settings.probe:
-            return []
-        return [
-            peer
-            for peer in self._state.peers.values()
-            if not peer.is_online and (peer.lane.transfers or now - peer.last_traffic_s <= PROBE_TRAFFIC_WITHIN_S)
-        ]
+        return [peer for peer in self._state.peers.values() if self._is_sought(peer, now=now)]
+
+    def _is_sought(self, peer: Peer, *, now: float) -> bool:
+        if peer.is_online or not self._state.settings.probe:
+            return False
+        return bool(peer.lane.transfers) or now - peer.last_traffic_s <= PROBE_TRAFFIC_WITHIN_S
 
     def _next_probe_at_s(self, *, now: float) -> float | None:
         sought = self._sought(now=now)

@@ -66,7 +66,8 @@ class Peer:
         self.path = path
         self.path_heard_s = now
         self.is_online = False
-        self.needs_evidence = False  # hearing it is not enough: it does not hear us
+        self.is_proven = False  # has shown that it hears us since it was last held offline
+        self.needs_evidence = False  # hearing it is not enough: it did not hear us
         self.beacon_interval_s = 1.0
         self.last_heard_s = now
         self.waiting_since_s: float | None = None  # oldest unanswered packet since it last showed that it hears us

@@ -16,6 +16,7 @@ MAX_DATAGRAMS_PER_TURN = 64
 FLOOR_EVERY_MESSAGES = 64
 _FLOOR_BYTES = len(wire.encode_floor(0))
 _MIN_ACK_ROOM_BYTES = 64
+_PING_PRIORITY = 255  # when all is silent, data is worth repeating before a ping
 
 
 class Datagram(NamedTuple):
@@ -132,7 +133,7 @@ class Transmitter:
             session.ping_wanted = False
             frames.append(wire.PING)
             parts = []
-        out.append(self._packet(peer, frames, parts, priority=0, ack_now=True, now=now))
+        out.append(self._packet(peer, frames, parts, priority=_PING_PRIORITY, ack_now=True, now=now))
 
     def _data(self, peer: Peer, transfer: Transfer, *, now: float) -> Datagram:
         """Build one packet: the next fragment, and what else of this peer's queue fits behind it."""
