@@ -1,0 +1,87 @@
+"""Configuration: every mistake at once, with file and key; nothing ignored."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from udp_mesh import config
+from udp_mesh.config import Config, ConfigError
+from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
+
+
+def test_a_whole_file_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "node.toml"
+    file.write_text(
+        'name = "robot1"\nport = 8701\ninterfaces = ["wlan0"]\nwindow = 3\nprobe = false\nbeacon_interval_s = 2\n'
+        '[topics.fpv]\npriority = 9\nreliability = "best_effort"\nkeep = "latest"\n'
+        'lifetime_s = 1.5\noffline = "latest"\n'
+    )
+    read = config.load(str(file))
+    assert (read.name, read.port, read.interfaces, read.window, read.probe) == ("robot1", 8701, ("wlan0",), 3, False)
+    policy = TopicPolicy(9, Reliability.BEST_EFFORT, Keep.LATEST, 1.5, Offline.LATEST)
+    assert read.topics["fpv"] == policy
+    assert read.settings().policy("fpv") == policy
+    assert read.settings().policy("other") == TopicPolicy()
+    assert read.payload_bytes == Config().payload_bytes == 1400
+
+
+def test_all_mistakes_are_reported_together(tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(
+        'name = "all"\nport = 0\nwindow = -1\nprioritize = true\nkey = "secret"\nprobe = 1\n'
+        '[topics.a]\npriority = 256\nkeep = "newest"\noffline = "store"\nredundancy = 2\n'
+    )
+    with pytest.raises(ConfigError) as caught:
+        config.load(str(file))
+    problems = caught.value.problems
+    assert all(problem.startswith(f"{file}: ") for problem in problems)
+    keys = [problem.removeprefix(f"{file}: ").split(":")[0] for problem in problems]
+    assert keys == [
+        *("name", "port", "window", "prioritize", "key", "probe"),
+        *("topics.a.offline", "topics.a.priority", "topics.a.keep", "topics.a.redundancy"),
+    ]
+    for key in ("key", "topics.a.offline", "topics.a.redundancy"):
+        assert "not available yet" in problems[keys.index(key)]
+    assert "known are" in problems[keys.index("prioritize")]
+
+
+def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read: No such file"):
+        config.load(str(tmp_path / "none.toml"))
+    (tmp_path / "broken.toml").write_text("name = \n")
+    with pytest.raises(ConfigError, match=r"broken\.toml: is not TOML"):
+        config.load(str(tmp_path / "broken.toml"))
+
+
+def test_settings_change_at_run_time_with_the_same_checks() -> None:
+    start = Config(name="n")
+    assert config.change(start, "window", "3").window == 3
+    assert config.change(start, "probe", "false").probe is False
+    changed = config.change(start, "topics.a.b.priority", "7")
+    assert changed.topics["a.b"].priority == 7
+    changed = config.change(changed, "topics.a.b.keep", "latest")
+    assert (changed.topics["a.b"].priority, changed.topics["a.b"].keep) == (7, Keep.LATEST)
+    for key, value in (
+        ("name", '"x"'),
+        ("port", "1"),
+        ("window", "many"),
+        ("topics.a.priority", "1000"),
+        ("nope", "1"),
+    ):
+        with pytest.raises(ConfigError):
+            config.change(start, key, value)
+
+
+@given(
+    st.dictionaries(
+        st.text(max_size=12), st.one_of(st.none(), st.booleans(), st.integers(), st.text(), st.lists(st.integers()))
+    )
+)
+def test_any_table_is_accepted_or_refused_with_its_keys(table: dict[str, object]) -> None:
+    with contextlib.suppress(ConfigError):
+        config.parse(table, source="f")
