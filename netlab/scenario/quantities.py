@@ -16,7 +16,8 @@ from typing import Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-_QUANTITY = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d\s].*)?")
+_QUANTITY = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*([^\d\s].*)?")
+_MOST = 1e18  # in SI units; far beyond anything real, and still exact enough to count with
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +49,10 @@ class Dimension:
         number, unit = match.groups()
         if unit is None:
             raise ValueError(f"{value} has no unit; write {self.noun} like {self.example} (units: {self._choices})")
-        return float(Decimal(number) * self._factor(unit.strip(), str(value)))
+        result = float(Decimal(number) * self._factor(unit.strip(), str(value)))
+        if abs(result) > _MOST:
+            raise ValueError(f"'{str(value)[:40]}' is impossible; write {self.noun} like {self.example}")
+        return result
 
     def format(self, value: float) -> str:
         """Return the shortest exact text for ``value`` (SI units); ``parse`` reads it back to the same number."""
@@ -177,8 +181,10 @@ class Quantity:
         }
 
 
-Seconds = Annotated[float, Quantity(DURATION)]
-PositiveSeconds = Annotated[float, Quantity(DURATION, above_minimum=True)]
+#: A hundred days and more: enough for any mission, and nanoseconds of it fit 64 bits.
+_MOST_S = 1e7
+Seconds = Annotated[float, Quantity(DURATION, maximum=_MOST_S)]
+PositiveSeconds = Annotated[float, Quantity(DURATION, maximum=_MOST_S, above_minimum=True)]
 BitsPerSecond = Annotated[float, Quantity(RATE, above_minimum=True)]
 Ratio = Annotated[float, Quantity(RATIO, maximum=1.0)]
 Hertz = Annotated[float, Quantity(FREQUENCY, above_minimum=True)]

@@ -243,3 +243,11 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ScenarioError, match="not a text file"):
         load_scenario(tmp_path / "binary.yaml")
+
+
+def test_entries_behind_a_hopeless_one_keep_their_numbers_and_lines() -> None:
+    found = problems(edited("  - {between: [base, robot1], rate", "  - 5\n  - {between: [base, robot9], rate"))
+    assert found == [
+        "s.yaml:7: links[0]: expected a block of keys, found '5'",
+        "s.yaml:8: links[1].between[1]: node 'robot9' is not defined; did you mean 'robot1'?",
+    ]
