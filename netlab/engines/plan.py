@@ -32,7 +32,7 @@ def compile_plan(scenario: Scenario) -> LabPlan:
             f"{wire.a}-{wire.b}",
             SegmentKind.WIRE,
             (a, b),
-            {(a, b): impairments.of(wire.forward), (b, a): impairments.of(wire.backward)},
+            _wire_pairs(wire, a, b, impairments),
         )
         for wire, (a, b) in zip(wires, wire_ports, strict=True)
     ]
@@ -104,6 +104,12 @@ def _radio_address(place: int) -> str:
 def _mac(index: int) -> bytes:
     # The first octet's 0x02 bit marks a locally administered address (IEEE 802), its 0x01 bit stays clear: unicast.
     return b"\x02\x4e\x4c" + index.to_bytes(3, "big")
+
+
+def _wire_pairs(wire: Wire, a: int, b: int, impairments: Impairments) -> dict[Pair, Impairment]:
+    forward = impairments.of(wire.forward)
+    backward = forward if wire.backward is wire.forward else impairments.of(wire.backward)
+    return {(a, b): forward, (b, a): backward}
 
 
 def _radio_pairs(scenario: Scenario, ports: dict[str, int], impairments: Impairments) -> dict[Pair, Impairment]:
