@@ -238,6 +238,7 @@ class AsyncClient:
                 pass
             self._writer = None
             writer.close()
+            self._state.disconnected()
             self._notify()
 
     def _notify(self) -> None:

@@ -70,10 +70,14 @@ class ClientState:
     def connected(self) -> bytes:
         """Begin with a new connection; return what to send first: the subscriptions."""
         self._reader = FrameReader()
+        return b"".join(local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics)
+
+    def disconnected(self) -> None:
+        """Forget what only held for the lost connection."""
         self._verdicts.clear()
         self._answers.clear()
+        self._peers.clear()
         self.is_greeted = False
-        return b"".join(local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics)
 
     def feed(self, data: bytes) -> None:
         """Take bytes from the daemon."""

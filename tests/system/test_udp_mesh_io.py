@@ -142,6 +142,7 @@ def test_a_client_survives_the_restart_of_its_daemon(hosts: tuple[Host, Host]) -
         assert b.stop(signal.SIGKILL) == -signal.SIGKILL
         b.start()
         assert receiver.wait_for_peer("alpha", 5.0)  # it has reconnected, and subscribed again
+        receiver.stats()
         assert sender.wait_for_peer("beta", 5.0)
         sender.publish_wait("t", b"after", to="beta", timeout_s=5.0)
         message = receiver.receive(timeout_s=5.0)

@@ -1,0 +1,86 @@
+"""What a decoded datagram is made of: values only. Their bytes are the business of :mod:`udp_mesh.core.wire`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class BadDatagram(StrEnum):
+    """Why a datagram was dropped before anything in it was believed."""
+
+    FOREIGN = "foreign"
+    VERSION = "unknown_version"
+    FLAGS = "unknown_flags"
+    TRUNCATED = "truncated"
+    FRAME = "unknown_frame"
+    VALUE = "impossible_value"
+
+
+class DataFragment(NamedTuple):
+    """One piece of a message. ``topic`` is None except in fragment 0. ``payload`` is a view into the datagram."""
+
+    message_id: int
+    priority: int
+    topic: str | None
+    fragment_index: int
+    fragment_count: int
+    payload: memoryview
+
+
+class Ack(NamedTuple):
+    """What the sender of this frame has received.
+
+    ``ranges`` are inclusive (first, last) packet numbers, newest first. ``received_us`` is when ``ranges[0][1]``
+    arrived, on the acknowledging node's own clock modulo 2**32 microseconds; ``delay_us`` how long the frame waited.
+    """
+
+    ranges: tuple[tuple[int, int], ...]
+    received_us: int
+    delay_us: int
+
+    @property
+    def largest(self) -> int:
+        """The newest acknowledged packet number."""
+        return self.ranges[0][1]
+
+
+class Hello(NamedTuple):
+    """A beacon, or the answer to a probe: who sends with this epoch. ``heard`` are tags of nodes it answers."""
+
+    name: str
+    beacon_interval_s: float
+    floor: int
+    heard: tuple[int, ...]
+
+
+class Dissection(NamedTuple):
+    """One datagram, decoded.
+
+    ``destination_tag`` is the low half of the addressee's epoch, 0 in a broadcast. ``probes`` are the tags of nodes
+    that the sender is looking for. ``floors``: every message below this id is settled. ``purged``: messages of which
+    the sender has forgotten what it had.
+    """
+
+    epoch: int
+    destination_tag: int
+    packet_number: int
+    is_unnumbered: bool
+    ack_now: bool
+    fragments: tuple[DataFragment, ...]
+    acks: tuple[Ack, ...]
+    beacons: tuple[Hello, ...]
+    probes: tuple[int, ...]
+    floors: tuple[int, ...]
+    purged: tuple[int, ...]
+    pings: int
+
+    @property
+    def is_broadcast(self) -> bool:
+        """Whether it is meant for everybody on the carrier."""
+        return self.is_unnumbered and self.destination_tag == 0
+
+    @property
+    def is_ack_eliciting(self) -> bool:
+        """Whether the receiver acknowledges this packet: a unicast with data or a ping."""
+        return not self.is_unnumbered and bool(self.fragments or self.pings)
