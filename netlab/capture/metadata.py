@@ -80,6 +80,7 @@ def run_metadata(
 def _ports(plan: LabPlan) -> list[dict[str, object]]:
     """A port's rate is that of its slowest pair: an upper bound of how long a fragment keeps it busy."""
     rates: dict[int, float] = {}
+    segments = {port: segment.name for segment in plan.segments for port in segment.ports}
     for segment in plan.segments:
         for (sender, _), impairment in segment.pairs.items():
             if impairment.rate_bps is not None:
@@ -88,6 +89,7 @@ def _ports(plan: LabPlan) -> list[dict[str, object]]:
         {
             "node": port.node,
             "interface": port.ifname,
+            "segment": segments.get(port.index),
             "mac": port.mac.hex(":"),
             "address": port.address,
             "rate_bps": rates.get(port.index),

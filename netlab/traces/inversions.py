@@ -128,5 +128,5 @@ def _could_go(trace: Trace, stream: Stream, fragment: Fragment) -> bool:
 
 
 def _serialisation_ns(trace: Trace, fragment: Fragment) -> int:
-    rate_bps = trace.rates_bps.get(fragment.interface)
+    rate_bps = trace.rate_bps(fragment.interface, fragment.t_ns)
     return round(fragment.frame_bytes * 8 / rate_bps * NS_PER_S) if rate_bps else 0

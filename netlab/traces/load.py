@@ -16,6 +16,7 @@ from netlab.traces.model import (
     EVERYBODY,
     Delivery,
     Fragment,
+    Interface,
     LinkCounts,
     Presence,
     Published,
@@ -27,7 +28,7 @@ from netlab.traces.model import (
 )
 from udp_mesh.core.wire import tag_of
 
-_KINDS = frozenset(Kind) - {Kind.LOG, Kind.LINKS}
+_KINDS = frozenset(Kind) - {Kind.LOG}
 
 
 def load_trace(path: Path | str) -> Trace:
@@ -55,11 +56,14 @@ class _Loader:
         self._tags: list[int] = []  # destination tag per fragment, in the order of loading
         self._fragments: list[Fragment] = []
         self._messages: dict[tuple[str, int, int], tuple[int, int]] = {}
+        self._interfaces: dict[tuple[str, str | None], Interface] = {}  # by (node, segment)
+        self._pair_rates: dict[Interface, dict[str, float | None]] = {}  # by interface and receiving node
         self._take: dict[Kind, Callable[[JsonRecord], None]] = {
             Kind.TIMELINE: self._step,
             Kind.PUBLISHED: self._published,
             Kind.RECEIVED: self._received,
             Kind.EVENT: self._event,
+            Kind.LINKS: self._link,
         }
         try:
             self._describe(capture)
@@ -82,8 +86,9 @@ class _Loader:
             for item in json.loads(metadata.get("streams", "[]"))
         )
         for port in json.loads(metadata.get("ports", "[]")):
+            self._interfaces[port["node"], port.get("segment")] = interface = (port["node"], port["interface"])
             if port.get("rate_bps"):
-                trace.rates_bps[port["node"], port["interface"]] = float(port["rate_bps"])
+                trace.rates_bps[interface] = [(0, float(port["rate_bps"]))]
         for stream in trace.streams:
             trace.published[stream.index], trace.delivered[stream.index] = [], []
 
@@ -139,6 +144,20 @@ class _Loader:
         at_s = record.payload.get("at_s")
         planned_s = float(at_s) if isinstance(at_s, int | float) else self._trace.seconds(record.t_ns)
         self._trace.timeline.append(Step(record.t_ns, planned_s, record.text("label"), record.text("kind"), pair))
+
+    def _link(self, record: JsonRecord) -> None:
+        """One directed pair's new state. An interface is as fast as the slowest of its pairs."""
+        interface = self._interfaces.get((record.text("from"), record.text("segment")))
+        if interface is None:
+            return
+        impairment = record.payload.get("impairment")
+        rate = impairment.get("rate_bps") if isinstance(impairment, dict) else None
+        pairs = self._pair_rates.setdefault(interface, {})
+        pairs[record.text("to")] = float(rate) if isinstance(rate, int | float) else None
+        slowest = min((value for value in pairs.values() if value), default=None)
+        changes = self._trace.rates_bps.setdefault(interface, [])
+        if not changes or changes[-1][1] != slowest:
+            changes.append((record.t_ns, slowest))
 
     def _published(self, record: JsonRecord) -> None:
         stream = record.number("stream")

@@ -152,7 +152,7 @@ class Trace:
         fragments: By sending node.
         presence: By (node, peer); empty when no daemon reported peers.
         windows: By (node, peer).
-        rates_bps: Rate of the slowest link that starts at an interface; missing means unlimited.
+        rates_bps: Rate of the slowest link that starts at an interface, as (since t_ns, rate); None is unlimited.
         dropped_ns: When a node gave a message up, by (node, message id).
         links: By (sender, receiver).
         notes: What is wrong with the capture.
@@ -168,7 +168,7 @@ class Trace:
     timeline: list[Step] = field(default_factory=list)
     presence: dict[tuple[str, str], Presence] = field(default_factory=dict)
     windows: dict[tuple[str, str], list[Window]] = field(default_factory=dict)
-    rates_bps: dict[Interface, float] = field(default_factory=dict)
+    rates_bps: dict[Interface, list[tuple[int, float | None]]] = field(default_factory=dict)
     dropped_ns: dict[tuple[str, int], list[int]] = field(default_factory=dict)
     links: dict[tuple[Interface, Interface], LinkCounts] = field(default_factory=dict)
     remarks: list[Remark] = field(default_factory=list)
@@ -177,6 +177,12 @@ class Trace:
     def seconds(self, t_ns: int) -> float:
         """Scenario time."""
         return (t_ns - self.t0_ns) / NS_PER_S
+
+    def rate_bps(self, interface: Interface, t_ns: int) -> float | None:
+        """Rate of an interface's slowest link at a time; None is unlimited."""
+        changes = self.rates_bps.get(interface, [])
+        index = bisect_right(changes, t_ns, key=lambda change: change[0])
+        return changes[max(index - 1, 0)][1] if changes else None
 
     @property
     def end_ns(self) -> int:

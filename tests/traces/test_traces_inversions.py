@@ -48,15 +48,23 @@ def test_the_first_millisecond_is_forgiven(waiting: Any, after_s: float, expecte
 
 @pytest.mark.parametrize(("after_s", "expected"), [(0.0011, 0), (0.001 + SERIALISATION_S, 0), (0.0022, 1)])
 def test_so_is_the_serialisation_of_one_fragment(waiting: Any, after_s: float, expected: int) -> None:
-    waiting.trace.rates_bps["a", "eth0"] = 10e6
+    waiting.trace.rates_bps["a", "eth0"] = [(0, 10e6)]
     waiting.send(1, 0, 1.0 + after_s)
     assert count(waiting) == expected
 
 
 def test_the_rate_of_another_interface_forgives_nothing(waiting: Any) -> None:
-    waiting.trace.rates_bps["a", "eth1"] = 10e6
+    waiting.trace.rates_bps["a", "eth1"] = [(0, 10e6)]
     waiting.send(1, 0, 1.0015)
     assert count(waiting) == 1
+
+
+def test_the_rate_at_that_time_counts(waiting: Any) -> None:
+    changed_ns = waiting.trace.t0_ns + 1_001_800_000
+    waiting.trace.rates_bps["a", "eth0"] = [(0, 10e6), (changed_ns, None)]
+    waiting.send(1, 0, 1.0017)
+    waiting.send(1, 1, 1.0019)
+    assert [found.fragment.message_id for found in inversions(waiting.trace, "a")] == [1001]
 
 
 def test_equally_or_more_urgent_fragments_may_go_first(story: Any) -> None:

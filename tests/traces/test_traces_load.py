@@ -123,7 +123,7 @@ def test_a_capture_becomes_a_trace(run: Path) -> None:
     assert {entry.destination for entry in fragments} == {"b"}  # known by b's own datagrams
     assert [entry.message for entry in fragments] == [(1, 0), (1, 0), (0, 0), (1, 0)]
     assert "b" not in trace.fragments  # what b hears is not what b sends
-    assert trace.rates_bps == {("a", "eth0"): 1e7}
+    assert trace.rates_bps == {("a", "eth0"): [(0, 1e7)]}
     assert trace.streams[1].keeps_latest
     assert trace.presence["a", "b"].at(T0_NS)
     assert not trace.presence["a", "b"].at(T0_NS + 1_100_000_000)
@@ -153,6 +153,20 @@ def test_a_publication_to_all_belongs_to_each_of_its_streams(tmp_path: Path) -> 
     assert [trace.published[stream][0].publication for stream in (0, 1)] == [0, 0]
     assert [entry.destination for entry in trace.fragments["a"]] == ["all"]
     assert [entry.message for entry in trace.fragments["a"]] == [(0, 0)]
+
+
+def test_rates_follow_the_links(tmp_path: Path) -> None:
+    ports = [port | {"segment": "a-b"} for port in PORTS] + [{"node": "a", "interface": "eth1", "segment": "a-c"}]
+    writer = Writer(tmp_path / "rates.mcap", {"ports": json.dumps(ports)})
+    for at_s, rate_bps in ((0.0, 1e7), (1.0, 2e6), (2.0, None)):
+        row = {"segment": "a-b", "from": "a", "to": "b", "impairment": {"rate_bps": rate_bps}}
+        writer.json("/links", at_s, **row)
+    writer.json("/links", 2.0, segment="gone", **{"from": "a", "to": "b"})
+    writer.writer.close()
+    trace = load_trace(writer.path)
+    at = [trace.rate_bps(("a", "eth0"), T0_NS + second * 10**9) for second in (-1, 0, 1, 2, 3)]
+    assert at == [1e7, 1e7, 2e6, None, None]
+    assert trace.rate_bps(("a", "eth1"), T0_NS) is None
 
 
 def test_a_capture_without_metadata_is_an_empty_trace(tmp_path: Path) -> None:
