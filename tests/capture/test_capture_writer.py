@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import random
 import resource
 import zlib
@@ -90,26 +91,32 @@ def test_the_mcap_library_reads_all_of_it(write_capture: Callable[..., Path]) ->
         assert message.log_time > 0
 
 
-@pytest.fixture
-def file_size_limit() -> Iterator[Callable[[int], None]]:
-    """Make writes past a file size fail, as on a full disk: partly at first, then wholly."""
+@contextlib.contextmanager
+def file_size_limit(size: int) -> Iterator[None]:
+    """Make writes past a file size fail, as on a full disk: partly at first, then wholly.
+
+    Not a fixture: pytest reports a test before its fixtures end, perhaps to a file that is longer than that.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("limit", [20_000, 50_001, 65_536])
-def test_a_full_disk_keeps_what_was_written(tmp_path: Path, file_size_limit: Callable[[int], None], limit: int) -> None:
+def test_a_full_disk_keeps_what_was_written(tmp_path: Path, limit: int) -> None:
     path = tmp_path / "full.mcap"
-    writer = CaptureWriter(path, chunk_bytes=8_192)
-    channel, _ = Topics(writer).packets("a", "eth0", 1)
-    names = schemas.encode_packet_names("a", "eth0")
     rng = random.Random(1)  # incompressible
-    file_size_limit(limit)
-    for number in range(400):
-        frame = b"%08d" % number + rng.randbytes(300)
-        writer.add_message(channel, number, number, schemas.encode_packet(0, 9, 1, 2, names, len(frame)), frame)
-    writer.close()
+    with file_size_limit(limit):
+        writer = CaptureWriter(path, chunk_bytes=8_192)
+        channel, _ = Topics(writer).packets("a", "eth0", 1)
+        names = schemas.encode_packet_names("a", "eth0")
+        for number in range(400):
+            frame = b"%08d" % number + rng.randbytes(300)
+            writer.add_message(channel, number, number, schemas.encode_packet(0, 9, 1, 2, names, len(frame)), frame)
+        writer.close()
     assert writer.error is not None
     assert str(path) in writer.error
     assert path.stat().st_size <= limit
@@ -120,11 +127,11 @@ def test_a_full_disk_keeps_what_was_written(tmp_path: Path, file_size_limit: Cal
     assert frames == [b"%08d" % number for number in range(writer.messages_written)]
 
 
-def test_without_any_room_the_writer_lives_on(tmp_path: Path, file_size_limit: Callable[[int], None]) -> None:
-    file_size_limit(0)
-    writer = CaptureWriter(tmp_path / "none.mcap")
-    Topics(writer).add_json("/timeline", {"kind": "start"}, 5)
-    writer.close()
+def test_without_any_room_the_writer_lives_on(tmp_path: Path) -> None:
+    with file_size_limit(0):
+        writer = CaptureWriter(tmp_path / "none.mcap")
+        Topics(writer).add_json("/timeline", {"kind": "start"}, 5)
+        writer.close()
     assert writer.messages_lost == 1
     with pytest.raises(CaptureError, match="is empty"):
         Capture.open(tmp_path / "none.mcap")
