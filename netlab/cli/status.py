@@ -51,7 +51,8 @@ class Status:
         for text in (*status["problems"], *status["notices"]):
             if text not in self._told:
                 self._told.add(text)
-                self._console.print(text, style="red", highlight=False, markup=False)
+                headline = text.splitlines()[0]  # the whole story stands in the final report
+                self._console.print(headline, style="red", highlight=False, markup=False, soft_wrap=True)
         if self._live is not None:
             self._live.update(self._table(status), refresh=True)
             return

@@ -30,8 +30,11 @@ class Engine(Protocol):
     def namespace_fds(self) -> dict[str, int]:
         """Network namespace of every node, held open for the lab's life."""
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> float:
         """Create namespaces, interfaces and addresses, all up.
+
+        Returns:
+            Seconds from before the first namespace to the last interface up and addressed.
 
         Raises:
             MachineError: The kernel lacks something; names it and the way out.
@@ -48,6 +51,9 @@ class Engine(Protocol):
 
     def record_verdicts(self, fd: int) -> None:
         """Write one ``VERDICT_RECORD`` per decision to this stream socket from now on (``air`` only)."""
+
+    def problem(self) -> str | None:
+        """What has gone wrong since the start, for a person; None if nothing."""
 
     def close(self) -> None:
         """Stop helper processes. Namespaces go when the last descriptor closes."""

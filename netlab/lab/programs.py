@@ -11,6 +11,7 @@ from netlab.engines.base import LabPlan
 from netlab.lab.processes import ProcessSpec, Restart
 from netlab.lab.traffic import StreamSpec, encode_streams
 from netlab.scenario.model import Scenario
+from netlab.scenario.traffic import ALL
 
 DISCOVERY_LIMIT_S = 10.0
 SOURCE = "traffic-source"
@@ -43,10 +44,10 @@ def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessS
 
 
 def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
-    """The udp_mesh daemon's configuration in one node: the scenario's settings and every topic of its traffic."""
+    """The udp_mesh daemon's configuration in one node: the scenario's settings and the topics that it publishes."""
     settings = scenario.mesh_settings(node)
     topics: dict[str, dict[str, Any]] = {}
-    for entry in scenario.traffic:
+    for entry in (entry for entry in scenario.traffic if entry.from_ == node):
         topic: dict[str, Any] = {
             "priority": entry.priority,
             "reliability": entry.reliability,
@@ -69,8 +70,8 @@ def streams(scenario: Scenario) -> list[StreamSpec]:
     return [
         StreamSpec(
             stream=stream.index,
-            publication=first[stream.entry] if isinstance(scenario.traffic[stream.entry].to, str) else stream.index,
-            to_all=isinstance(scenario.traffic[stream.entry].to, str),
+            publication=first[stream.entry] if ALL in scenario.traffic[stream.entry].to else stream.index,
+            to_all=ALL in scenario.traffic[stream.entry].to,
             source=stream.source,
             destination=stream.destination,
             topic=stream.topic,

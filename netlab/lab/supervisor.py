@@ -15,7 +15,6 @@ import os
 import pickle
 import signal
 import sys
-import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -74,9 +73,7 @@ class Supervisor:
         ]
         self._engine_name, self._engine = make_engine(self._options.engine, self._plan, later)
         channel = self._start_spawner()
-        started = time.perf_counter()
-        self._engine.bring_up()
-        self._bring_up_s = time.perf_counter() - started
+        self._bring_up_s = self._engine.bring_up()
         self._recording = self._start_recording()
         self._processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
         self._processes.open_events = self._recording.open_events
@@ -137,6 +134,8 @@ class Supervisor:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._ending.wait(), 0.5)
             self._notices += self._recording.notices()
+            if (problem := self._engine.problem()) is not None and problem not in self._notices:
+                self._notices.append(problem)
         self.close()
 
     def close(self) -> None:

@@ -20,12 +20,13 @@ from collections import deque
 from dataclasses import asdict, dataclass
 from typing import BinaryIO
 
-from udp_mesh.client import Client, Message, Refused, WouldBlock
+from udp_mesh.client import Client, ClientError, Message
 
 #: magic, publication number, sequence number, time of the publish call (CLOCK_REALTIME, ns); little endian.
 PAYLOAD_HEADER = struct.Struct("<4sHIQ")
 MAGIC = b"NLT1"
 REPORT_INTERVAL_S = 0.5
+_RECONNECT_S = 0.02
 _RECENT = 200  # latencies kept for the live status
 
 
@@ -139,7 +140,7 @@ class _Source:
         try:
             payload = header + self._filler[len(header) : first.size_bytes]
             self._client.publish(first.topic, payload, to="all" if first.to_all else first.destination)
-        except (Refused, WouldBlock) as refusal:
+        except ClientError as refusal:
             reason = str(refusal) or type(refusal).__name__
         return [
             {
@@ -202,14 +203,27 @@ class _Sink:
 
 def _receive(client: Client, sink: _Sink, events: BinaryIO, command: socket.socket) -> None:
     next_report = time.monotonic() + REPORT_INTERVAL_S
-    while not select.select([command], [], [], 0)[0]:  # anything on the command socket, or its end, means stop
-        message = client.receive(timeout_s=max(0.0, next_report - time.monotonic()))
-        t_ns = time.time_ns()
-        if message is not None and (record := sink.receive(message, t_ns=t_ns)) is not None:
-            _write(events, record)
+    while True:
+        while (message := client.receive(timeout_s=0)) is not None:
+            record = sink.receive(message, t_ns=time.time_ns())
+            if record is not None:
+                _write(events, record)
+        wait_s = max(0.0, next_report - time.monotonic())
+        if _is_told(command, client, wait_s):  # anything, or its end, means stop
+            return
         if time.monotonic() >= next_report:
             next_report = time.monotonic() + REPORT_INTERVAL_S
             _tell(command, sink.report())
+
+
+def _is_told(command: socket.socket, client: Client, wait_s: float) -> bool:
+    """Wait for a message, a command or the time; whether it was a command."""
+    watched = [command.fileno()]
+    try:
+        watched.append(client.fileno())
+    except ClientError:  # the daemon is away; the client's next receive() looks for it again
+        wait_s = min(wait_s, _RECONNECT_S)
+    return command.fileno() in select.select(watched, [], [], wait_s)[0]
 
 
 def _write(events: BinaryIO, record: dict[str, object]) -> None:

@@ -19,7 +19,7 @@ from netlab.scenario.model import Scenario
 from netlab.scenario.problems import Problem
 from netlab.scenario.quantities import DURATION
 from netlab.scenario.recover import Doubt
-from netlab.scenario.traffic import ALL, Stream
+from netlab.scenario.traffic import ALL, Stream, Traffic
 
 
 def check_activity(scenario: Scenario, doubt: Doubt) -> Iterator[Problem]:
@@ -46,6 +46,7 @@ class _Activity:
         for index, item in enumerate(self._scenario.traffic):
             path: Path = ("traffic", index)
             yield from self._endpoint(item.from_, (*path, "from"))
+            yield from self._other_settings(index, item)
             if item.to == (ALL,):
                 if self._known(item.from_) and self._paths_certain and not self._scenario.destinations(item):
                     yield (*path, "to"), f"'{item.from_}' shares no link or radio with another udp_mesh node"
@@ -60,6 +61,17 @@ class _Activity:
                         to_path,
                         f"'{item.from_}' and '{name}' share no link or radio, and nothing is routed; join them",
                     )
+
+    def _other_settings(self, index: int, item: Traffic) -> Iterator[Problem]:
+        """A topic's settings belong to the sender's daemon, so they cannot differ from entry to entry."""
+        for earlier, other in enumerate(self._scenario.traffic[:index]):
+            if (other.from_, other.topic) == (item.from_, item.topic) and other.topic_settings != item.topic_settings:
+                yield (
+                    ("traffic", index, "topic"),
+                    f"'{item.from_}' publishes '{item.topic}' with other settings in traffic[{earlier}]; "
+                    "make them equal, or use another topic",
+                )
+                return
 
     def _endpoint(self, name: str, path: Path) -> Iterator[Problem]:
         if complaint := self._names.complaint(name):

@@ -77,6 +77,11 @@ class Traffic(StrictModel):
     redundancy: Annotated[Literal[1], BeforeValidator(_redundancy)] = 1
     rate_limit: NotYet = None
 
+    @property
+    def topic_settings(self) -> tuple[object, ...]:
+        """What belongs to the topic at its sender, not to the single entry."""
+        return (self.priority, self.reliability, self.keep, self.lifetime_s, self.offline, self.redundancy)
+
 
 @dataclass(frozen=True, slots=True)
 class Stream:

@@ -20,7 +20,11 @@ class RecordingEngine:
         self.namespace_fds: dict[str, int] = {}
         self.calls: list[tuple[Any, ...]] = []
 
-    def bring_up(self) -> None: ...
+    def bring_up(self) -> float:
+        return 0.0
+
+    def problem(self) -> str | None:
+        return None
 
     def set_pairs(self, changes: dict[Pair, Impairment | None]) -> None:
         self.calls.append(("pairs", changes))

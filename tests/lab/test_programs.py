@@ -29,7 +29,7 @@ def _scenario(**more: Any) -> Any:
 
 TRAFFIC = [
     {"from": "r1", "to": "base", "topic": "telemetry", "priority": 1, "size": "200B", "rate": "10Hz"},
-    {"from": "base", "to": "all", "topic": "estop", "priority": 0, "size": "50B", "rate": "1Hz"},
+    {"from": "r1", "to": "all", "topic": "estop", "priority": 0, "size": "50B", "rate": "1Hz"},
     {
         "from": "r1",
         "to": ["base", "r2"],
@@ -64,8 +64,8 @@ def test_streams_are_numbered_by_entry_and_destination_and_one_publication_goes_
     rows = [(s.stream, s.publication, s.to_all, s.source, s.destination, s.topic) for s in streams]
     assert rows == [
         (0, 0, False, "r1", "base", "telemetry"),
-        (1, 1, True, "base", "r1", "estop"),
-        (2, 1, True, "base", "r2", "estop"),
+        (1, 1, True, "r1", "base", "estop"),
+        (2, 1, True, "r1", "r2", "estop"),
         (3, 3, False, "r1", "base", "map"),
         (4, 4, False, "r1", "r2", "map"),
     ]
@@ -73,11 +73,12 @@ def test_streams_are_numbered_by_entry_and_destination_and_one_publication_goes_
 
 
 def test_sources_wait_for_the_destinations_that_they_can_reach() -> None:
-    scenario = _scenario(traffic=TRAFFIC)
+    reply = {"from": "base", "to": "r1", "topic": "command", "size": "50B", "rate": "1Hz"}
+    scenario = _scenario(traffic=[*TRAFFIC, reply])
     sources = {spec.node: spec for spec in programs.traffic_sources(scenario, compile_plan(scenario))}
     assert set(sources) == {"r1", "base"}
     awaited = {node: spec.argv[spec.argv.index("--await-peers") + 1] for node, spec in sources.items()}
-    assert awaited == {"r1": "base,r2", "base": "r1"}  # r2 is two hops from base, and nothing routes
+    assert awaited == {"r1": "base,r2", "base": "r1"}
 
 
 def test_every_receiver_has_one_sink_with_all_its_streams() -> None:
@@ -86,7 +87,7 @@ def test_every_receiver_has_one_sink_with_all_its_streams() -> None:
         node: [row["stream"] for row in json.loads(spec.argv[spec.argv.index("--streams") + 1])]
         for node, spec in sinks.items()
     }
-    assert numbers == {"base": [0, 3], "r1": [1], "r2": [2, 4]}
+    assert numbers == {"base": [0, 1, 3], "r2": [2, 4]}
 
 
 def test_other_programs_keep_their_argv(tmp_path: Path) -> None:
