@@ -15,6 +15,7 @@ from netlab.engines.netem_plan import Device, Entry, Exit, Far
 from netlab.errors import MachineError
 from netlab.kernel import pairs as pair_veths
 from netlab.kernel import tc
+from netlab.kernel.links import delete_group
 from netlab.kernel.netem import uses_table
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.kernel.probe import TcFeatures, tc_features
@@ -191,7 +192,7 @@ class NetemEngine:
     def _undo(self) -> None:
         if self._sock is not None:
             if self._group is not None:
-                pair_veths.delete(self._sock, self._group)
+                delete_group(self._sock, self._group)
             self._sock.close()
         if self._wiring is not None:
             self._wiring.close()

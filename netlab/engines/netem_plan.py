@@ -8,6 +8,7 @@ node. Every directed pair (i, j) needs a queue of its own:
   frame to ``Entry(i, j)``, whose root qdisc is the pair's netem; what comes out of its other end ``Exit(i, j)`` goes on
   to Far(j). A group frame is thus copied *before* the loss is drawn, once for each receiver, as on the air.
 
+What no filter takes goes to the stack of the lab's own namespace, which has no address and so throws it away.
 Pairs out of range have their queue too and lose everything, so that coming into range is one change of a qdisc.
 """
 
@@ -53,7 +54,7 @@ Device = Far | Entry | Exit
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A filter at the ingress of ``device``: frames that match go to every target, and nowhere else; none: dropped.
+    """A filter at the ingress of ``device``: frames that match go to every target (1 to 31), and nowhere else.
 
     Unless ``last``, later rules see the frame, too.
     """
@@ -83,13 +84,10 @@ def compile_plan(plan: LabPlan) -> NetemPlan:
     """
     _check(plan)
     pairs = [(segment, pair) for segment in plan.segments for pair in _pairs(segment)]
-    connected = {port for segment in plan.segments for port in segment.ports}
-    rules = [rule for segment in plan.segments for rule in _segment_rules(plan, segment)]
-    rules += [_rule(Far(port.index), 1, ANY, ()) for port in plan.ports if port.index not in connected]
     return NetemPlan(
         pair_veths=tuple(pair for segment, pair in pairs if not _is_direct(segment)),
         shapes={pair: _entry(segment, pair) if not _is_direct(segment) else Far(pair[1]) for segment, pair in pairs},
-        rules=tuple(rules),
+        rules=tuple(rule for segment in plan.segments for rule in _segment_rules(plan, segment)),
         impairments={pair: segment.pairs.get(pair) for segment, pair in pairs},
     )
 
@@ -189,7 +187,8 @@ def _copies(device: Device, priority: int, match: Match, targets: tuple[Device, 
     while len(targets) > ACTIONS_MAX:
         yield _rule(device, priority, match, targets[:ACTIONS_MAX], last=False)
         targets, priority = targets[ACTIONS_MAX:], priority + 1
-    yield _rule(device, priority, match, targets)
+    if targets:
+        yield _rule(device, priority, match, targets)
 
 
 def _rule(device: Device, priority: int, match: Match, targets: tuple[Device, ...], *, last: bool = True) -> Rule:

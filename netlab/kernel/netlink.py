@@ -66,6 +66,19 @@ class NetlinkSocket:
             self._send(batch)
             self._check_answers(first, len(batch))
 
+    def query(self, message: bytes) -> bytes:
+        """Send one request that has one answer and return that, header included.
+
+        Raises:
+            NetlinkError: The kernel refused.
+        """
+        self._sock.sendto(message, (0, 0))
+        for kind, answer in _split(self._sock.recv(1 << 16)):
+            if kind == NLMSG_ERROR:
+                raise _error(answer, 0)
+            return answer
+        raise OSError("netlink: an empty answer")
+
     def dump(self, message: bytes) -> list[bytes]:
         """Send one dump request and return the messages of the answer, headers included.
 

@@ -1,4 +1,4 @@
-"""Interface ioctls: switch transmit offloads off, ask whether an interface is running.
+"""Switch the transmit offloads of an interface off.
 
 A veth hands frames over in memory with their checksums left to a device that does not exist: whoever reads them with a
 packet socket sees wrong checksums, and one 64 kB super-frame counts as one packet in a queue. So everything that leaves
@@ -12,8 +12,6 @@ import fcntl
 import struct
 
 _SIOCETHTOOL = 0x8946
-_SIOCGIFFLAGS = 0x8913
-_IFF_RUNNING = 0x40
 
 # linux/ethtool.h
 _ETHTOOL_GSTRINGS = 0x1B
@@ -23,7 +21,6 @@ _ETH_SS_FEATURES = 4
 _ETH_GSTRING_LEN = 32
 
 _REQUEST = struct.Struct("16sP16x")
-_FLAGS = struct.Struct("16sh22x")
 
 
 def disable_offloads(fd: int, ifname: str) -> None:
@@ -44,16 +41,6 @@ def disable_offloads(fd: int, ifname: str) -> None:
     # Per block: which bits are meant, and their new values. Bits that the driver does not offer are passed over.
     words = [word for block in blocks for word in (block, 0)]
     _ethtool(fd, ifname, array.array("I", [_ETHTOOL_SFEATURES, len(blocks), *words]))
-
-
-def is_running(fd: int, ifname: str) -> bool:
-    """Whether the interface is up, has a carrier and its queue is active, so that nothing sent is thrown away.
-
-    Raises:
-        OSError: No such interface.
-    """
-    answer = fcntl.ioctl(fd, _SIOCGIFFLAGS, _FLAGS.pack(ifname.encode(), 0))
-    return bool(_FLAGS.unpack(answer)[1] & _IFF_RUNNING)
 
 
 def _is_tx_offload(name: str) -> bool:

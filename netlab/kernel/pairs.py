@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from netlab.kernel import messages, offloads
 from netlab.kernel import namespaces as netns
+from netlab.kernel.links import delete_group, highest_index, wait_until_running
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
-from netlab.kernel.wiring import highest_index
 
 _FIRST_INDEX = 50_000  # above the far ends of the nodes' veths, so that a listing stays readable
 _MTU_BYTES = 65_535  # never the bottleneck: the ports' own MTU rules
@@ -39,17 +38,11 @@ def create(sock: NetlinkSocket, ifnames: Sequence[tuple[str, str]]) -> Pairs:
     try:
         _create(sock, ifnames, made)
         _raise_ends(sock, ifnames, indices)
+        wait_until_running([(sock, near) for near, _ in indices])
     except BaseException:
-        delete(sock, made.group)
+        delete_group(sock, made.group)
         raise
     return made
-
-
-def delete(sock: NetlinkSocket, group: int) -> None:
-    """Delete the veths of a group together: one after the other, each would cost a grace period of the kernel."""
-    if group:
-        with contextlib.suppress(NetlinkError):
-            sock.request([messages.encode_delete_group(group)])
 
 
 def _create(sock: NetlinkSocket, ifnames: Sequence[tuple[str, str]], made: Pairs) -> None:
@@ -57,11 +50,19 @@ def _create(sock: NetlinkSocket, ifnames: Sequence[tuple[str, str]], made: Pairs
     orders, labels = [], []
     for n, (names, (near, far)) in enumerate(zip(ifnames, made.indices, strict=True)):
         mac = _LOCAL + n.to_bytes(3, "big")
-        create = messages.create_veth(
-            index=near, ifname=names[0], mac=mac, mtu=_MTU_BYTES, peer_index=far, peer_ifname=names[1], peer_fd=here
+        orders.append(
+            messages.create_veth(
+                index=near,
+                ifname=names[0],
+                mac=mac,
+                mtu=_MTU_BYTES,
+                peer_index=far,
+                peer_ifname=names[1],
+                peer_fd=here,
+                group=made.group,
+            )
         )
-        orders += [create, messages.set_group(near, made.group)]
-        labels += [names[0]] * 2
+        labels.append(names[0])
     try:
         _request(sock, orders, labels)
     finally:

@@ -141,7 +141,14 @@ def try_veth() -> str | None:
         os.close(netns.enter_new())
         with contextlib.closing(NetlinkSocket()) as sock:
             order = messages.create_veth(
-                index=100, ifname="t0", mac=_SOME_MAC, mtu=1500, peer_index=200, peer_ifname="t1", peer_fd=origin
+                index=100,
+                ifname="t0",
+                mac=_SOME_MAC,
+                mtu=1500,
+                peer_index=200,
+                peer_ifname="t1",
+                peer_fd=origin,
+                group=9,
             )
             sock.request([order])
     return None

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from pyroute2.netlink import nla
+from pyroute2.netlink import nla, nlmsg
 from pyroute2.netlink.rtnl.tcmsg import tcmsg
-from pyroute2.netlink.rtnl.tcmsg.cls_u32 import options as u32_options
+from pyroute2.netlink.rtnl.tcmsg.cls_matchall import options as matchall_options
 from pyroute2.netlink.rtnl.tcmsg.common_act import tca_act_prio
 
 from netlab.kernel.messages import (
@@ -41,7 +41,6 @@ _ETH_P_ALL = 0x0003
 
 # linux/pkt_cls.h, linux/tc_act/tc_mirred.h
 _TC_ACT_UNSPEC = -1  # go on with the next filter
-_TC_ACT_SHOT = 2
 _TC_ACT_PIPE = 3
 _TC_ACT_STOLEN = 4
 _EGRESS_REDIR = 1
@@ -88,8 +87,12 @@ class _FlowerOptions(nla):  # type: ignore[misc]  # pyroute2 is untyped and know
     actions = tca_act_prio
 
 
-class _U32Options(u32_options):  # type: ignore[misc]
-    """pyroute2's u32 keys start at the network header at the earliest; the MAC address lies 14 bytes before it."""
+class _U32Options(nla):  # type: ignore[misc]
+    """pyroute2's own u32 keys start at the network header at the earliest; the MAC address lies 14 bytes before it."""
+
+    prefix = "TCA_U32_"
+    nla_map = ((5, "TCA_U32_SEL", "u32_sel"), (7, "TCA_U32_ACT", "actions"))
+    actions = tca_act_prio
 
     class u32_sel(nla):  # type: ignore[misc]
         fields = (
@@ -113,15 +116,24 @@ class _U32Options(u32_options):  # type: ignore[misc]
         )
 
 
-_OWN_OPTIONS = {"netem": NetemOptions, "flower": _FlowerOptions, "u32": _U32Options}
+_OPTIONS = {"netem": NetemOptions, "matchall": matchall_options, "flower": _FlowerOptions, "u32": _U32Options}
 
 
-class _Message(tcmsg):  # type: ignore[misc]
+class _Message(nlmsg):  # type: ignore[misc]
+    """struct tcmsg with the options that the lab uses.
+
+    Not a subclass of pyroute2's tcmsg: pyroute2 keeps a class's compiled attribute table where subclasses find it, and
+    then a subclass behaves like its parent if the parent was used first.
+    """
+
+    prefix = "TCA_"
+    fields = tcmsg.fields
+    nla_map = (("TCA_UNSPEC", "none"), ("TCA_KIND", "asciiz"), ("TCA_OPTIONS", "options_class"))
+
     @staticmethod
-    def get_options(self: Any, *argv: Any, **kwarg: Any) -> Any:
-        """Choose the class of TCA_OPTIONS; pyroute2 calls it with the message, though it is static."""
-        own = _OWN_OPTIONS.get(self.get_attr("TCA_KIND"))
-        return own if own is not None else tcmsg.get_options(self, *argv, **kwarg)
+    def options_class(self: Any, *argv: Any, **kwarg: Any) -> Any:
+        """Choose the class of TCA_OPTIONS by the message's kind; pyroute2 passes the message, static or not."""
+        return _OPTIONS[self.get_attr("TCA_KIND")]
 
 
 def add_netem(ifindex: int, impairment: Impairment, *, seed: int) -> bytes:
@@ -162,15 +174,15 @@ def add_filter(
         ifindex: Where they come in.
         priority: 1..65535, unique on this interface; lower ones are asked first.
         match: Which frames.
-        targets: Interface indices, at most ``ACTIONS_MAX``; none drops the frame.
+        targets: Interface indices, 1 to ``ACTIONS_MAX``.
         classifier: What the kernel has.
         last: False copies to all targets and goes on with the next filter (for more than ``ACTIONS_MAX`` targets).
 
     Raises:
-        ValueError: Too many targets.
+        ValueError: No targets or too many.
     """
-    if len(targets) > ACTIONS_MAX:
-        raise ValueError(f"{len(targets)} targets in one filter; at most {ACTIONS_MAX}")
+    if not 1 <= len(targets) <= ACTIONS_MAX:
+        raise ValueError(f"{len(targets)} targets in one filter; at least 1 and at most {ACTIONS_MAX}")
     actions = {"attrs": [(f"TCA_ACT_PRIO_{n}", act) for n, act in enumerate(_actions(targets, last), start=1)]}
     kind, options = _BUILDERS[classifier](match, actions)
     info = socket.htons(_ETH_P_ALL) | priority << 16
@@ -232,8 +244,6 @@ def _encode(
 
 
 def _actions(targets: Sequence[int], last: bool) -> list[dict[str, Any]]:
-    if not targets:
-        return [_action("gact", "TCA_GACT_PARMS", {"action": _TC_ACT_SHOT})]
     mirrored = targets[:-1] if last else targets
     made = [_mirred(_EGRESS_MIRROR, ifindex, _TC_ACT_PIPE) for ifindex in mirrored[:-1]]
     if mirrored:
@@ -244,11 +254,13 @@ def _actions(targets: Sequence[int], last: bool) -> list[dict[str, Any]]:
 
 
 def _mirred(kind: int, ifindex: int, verdict: int) -> dict[str, Any]:
-    return _action("mirred", "TCA_MIRRED_PARMS", {"action": verdict, "eaction": kind, "ifindex": ifindex})
-
-
-def _action(kind: str, name: str, parameters: dict[str, int]) -> dict[str, Any]:
-    return {"attrs": [("TCA_ACT_KIND", kind), ("TCA_ACT_OPTIONS", {"attrs": [(name, parameters)]})]}
+    parameters = {"action": verdict, "eaction": kind, "ifindex": ifindex}
+    return {
+        "attrs": [
+            ("TCA_ACT_KIND", "mirred"),
+            ("TCA_ACT_OPTIONS", {"attrs": [("TCA_MIRRED_PARMS", parameters)]}),
+        ]
+    }
 
 
 def _flower(match: Match, actions: dict[str, Any]) -> tuple[str, dict[str, Any]]:

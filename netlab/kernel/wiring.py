@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import ipaddress
 import os
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from netlab.errors import MachineError
-from netlab.kernel import messages, offloads
+from netlab.kernel import links, messages, offloads
 from netlab.kernel import namespaces as netns
-from netlab.kernel.netlink import HEADER, NetlinkError, NetlinkSocket
+from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.kernel.syscalls import CLONE_NEWNET, setns
 
 # Kernels that create fallback tunnels (tunl0, sit0, ...) in new namespaces take the first indices.
@@ -25,7 +24,6 @@ _FIRST_NODE_INDEX = 100
 # Far indices differ from near ones: the kernel takes "peer has my index" for "not a veth" and then reports the carrier
 # up to a second late (linkwatch_urgent_event in net/core/link_watch.c).
 _FIRST_PEER_INDEX = 10_000
-_CARRIER_WAIT_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,7 @@ class VethSpec:
 
 
 class Wiring:
-    """What :func:`build` made. Everything goes when the last descriptor of each namespace is closed."""
+    """What :func:`build` made. A node's namespace goes when the last descriptor of it is closed."""
 
     def __init__(
         self,
@@ -52,11 +50,13 @@ class Wiring:
         veths: tuple[VethSpec, ...],
         peer_ifindex: tuple[int, ...],
         far: NetlinkSocket,
+        group: int,
     ) -> None:
         self.namespace_fds = namespace_fds
         self.veths = veths
         self.peer_ifindex = peer_ifindex
-        self._far = far
+        self._far: NetlinkSocket | None = far
+        self._group = group
 
     def set_peers(self, indices: Iterable[int], *, up: bool) -> None:
         """Bring far ends up or down, which gives or takes the node's carrier.
@@ -68,16 +68,25 @@ class Wiring:
         Raises:
             OSError: The kernel refuses; names the interface.
         """
+        if self._far is None:
+            raise RuntimeError("the wiring is closed")
         chosen = list(indices)
         orders = [messages.set_up(self.peer_ifindex[i], up=up) for i in chosen]
         _request(self._far, orders, [f"far end {self.veths[i].peer_ifname}" for i in chosen])
 
     def close(self) -> None:
-        """Close this process's descriptors; idempotent."""
+        """Delete the veths and close this process's descriptors; idempotent.
+
+        The kernel would delete them with the last descriptor of their namespaces, but later, and their names and
+        indices would be taken until then.
+        """
+        if self._far is not None:
+            links.delete_group(self._far, self._group)
+            self._far.close()
+        self._far = None
         for fd in self.namespace_fds.values():
             os.close(fd)
         self.namespace_fds = {}
-        self._far.close()
 
 
 def build(namespaces: Sequence[str], veths: Sequence[VethSpec]) -> Wiring:
@@ -114,25 +123,35 @@ class _Builder:
         self._near: dict[str, NetlinkSocket] = {}
         self._fds: dict[str, int] = {}
         self._peer_ifindex: tuple[int, ...] = ()
+        self._group = 0
 
     def build(self) -> Wiring:
         try:
-            first = max(_FIRST_PEER_INDEX, highest_index(self._far) + 1)
+            first = max(_FIRST_PEER_INDEX, links.highest_index(self._far) + 1)
             self._peer_ifindex = tuple(range(first, first + len(self._veths)))
+            self._group = first
             with netns.returning() as far_fd:
                 for name, positions in self._by_name.items():
                     self._build_namespace(name, positions, far_fd)
             self._raise_far_ends()
-            self._wait_until_running()
+            links.wait_until_running(self._near_ends())
         except BaseException:
-            for fd in self._fds.values():
-                os.close(fd)
-            self._far.close()
+            self._wiring().close()
             raise
         finally:
             for sock in self._near.values():
                 sock.close()
-        return Wiring(self._fds, self._veths, self._peer_ifindex, self._far)
+        return self._wiring()
+
+    def _near_ends(self) -> list[tuple[NetlinkSocket, int]]:
+        return [
+            (self._near[name], _FIRST_NODE_INDEX + offset)
+            for name, positions in self._by_name.items()
+            for offset in range(len(positions))
+        ]
+
+    def _wiring(self) -> Wiring:
+        return Wiring(self._fds, self._veths, self._peer_ifindex, self._far, self._group)
 
     def _build_namespace(self, name: str, positions: list[int], far_fd: int) -> None:
         try:
@@ -163,6 +182,7 @@ class _Builder:
                 peer_index=self._peer_ifindex[position],
                 peer_ifname=veth.peer_ifname,
                 peer_fd=far_fd,
+                group=self._group,
             )
         ]
         if veth.address is not None:
@@ -180,17 +200,6 @@ class _Builder:
             labels += [f"far end {veth.peer_ifname} of {veth.namespace} {veth.ifname}"] * len(made)
         _request(self._far, orders, labels)
 
-    def _wait_until_running(self) -> None:
-        """The kernel reports a carrier from a work queue, a moment later; until then frames are thrown away."""
-        deadline = time.monotonic() + _CARRIER_WAIT_S
-        waiting = [(self._near[veth.namespace].fileno(), veth.ifname) for veth in self._veths]
-        waiting += [(self._far.fileno(), veth.peer_ifname) for veth in self._veths]
-        while waiting := [(fd, ifname) for fd, ifname in waiting if not offloads.is_running(fd, ifname)]:
-            if time.monotonic() > deadline:
-                names = ", ".join(ifname for _, ifname in waiting[:5])
-                raise OSError(f"{len(waiting)} interfaces have no carrier after {_CARRIER_WAIT_S:g} s: {names}")
-            time.sleep(0.0005)
-
 
 def enter(namespace_fd: int) -> None:
     """Move the calling thread into a network namespace of the wiring.
@@ -206,10 +215,3 @@ def _request(sock: NetlinkSocket, orders: Sequence[bytes], labels: Sequence[str]
         sock.request(orders)
     except NetlinkError as error:
         raise OSError(error.errno, f"{labels[error.position]}: {error.strerror}") from error
-
-
-def highest_index(sock: NetlinkSocket) -> int:
-    """Return the largest interface index in the socket's namespace."""
-    # struct ifinfomsg: family, pad, type (4 bytes), then the index
-    dump = sock.dump(messages.encode_dump_links())
-    return max(int.from_bytes(link[HEADER.size + 4 : HEADER.size + 8], "little") for link in dump)

@@ -86,7 +86,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
     monkeypatch.setattr(netem, "build", build)
     monkeypatch.setattr(netem, "tc_features", lambda: TcFeatures(None, (Classifier.FLOWER, Classifier.U32), True))
     monkeypatch.setattr(pairs, "create", create)
-    monkeypatch.setattr(pairs, "delete", lambda sock, group: fake.deleted_groups.append(group))
+    monkeypatch.setattr(netem, "delete_group", lambda sock, group: fake.deleted_groups.append(group))
     return fake
 
 
@@ -109,7 +109,7 @@ def test_bring_up_is_one_batch_with_a_qdisc_per_pair_and_filters_at_every_ingres
     assert sum(kind == RTM_NEWQDISC for kind, _ in orders) == 6 + 3 + 6  # netem, clsact at far ends, at exits
     netems = [index for kind, index in orders[:6]]
     assert netems == [2000, 2002, 2004, 2006, 2008, 2010]
-    assert sum(kind == RTM_NEWTFILTER for kind, _ in orders) == 3 * (1 + 2 + 1) + 6
+    assert sum(kind == RTM_NEWTFILTER for kind, _ in orders) == 3 * (1 + 2) + 6
 
 
 def test_two_ports_are_shaped_at_the_receivers_far_end(kernel: Kernel) -> None:

@@ -63,7 +63,8 @@ def _arrivals(plan: NetemPlan, device: Device, destination: bytes) -> list[int]:
                 found += _arrivals(plan, Exit(target.pair), destination)
         if rule.last:
             return found
-    raise AssertionError(f"no rule ends for {destination.hex()} at {device}: the lab's own stack would see the frame")
+    assert found == [], f"{destination.hex()} at {device} was copied and then given to the lab's own stack as well"
+    return []
 
 
 @pytest.mark.parametrize("kind", list(SegmentKind))
@@ -114,7 +115,7 @@ def test_nobody_hears_itself_or_a_frame_twice(count: int, kind: SegmentKind, dat
     assert hears(plan, sender, mac(addressee)) == expected
     rules = [(rule.device, rule.priority) for rule in plan.rules]
     assert len(set(rules)) == len(rules)
-    assert max(len(rule.targets) for rule in plan.rules) <= ACTIONS_MAX
+    assert all(1 <= len(rule.targets) <= ACTIONS_MAX for rule in plan.rules)
 
 
 def test_a_port_without_a_segment_is_heard_by_nobody() -> None:

@@ -24,7 +24,6 @@ def options_of(message: bytes) -> bytes:
     ("name", "message"),
     [
         ("matchall", tc.add_filter(LO, 3, tc.ANY, [LO, LO], classifier=FLOWER)),
-        ("matchall_drop", tc.add_filter(LO, 3, tc.ANY, [], classifier=FLOWER)),
         ("flower", tc.add_filter(LO, 2, tc.match_mac(MAC), [LO], classifier=FLOWER)),
         ("flower_group", tc.add_filter(LO, 1, tc.GROUP, [LO, LO], classifier=FLOWER)),
         ("u32_mac", tc.add_filter(LO, 2, tc.match_mac(MAC), [LO], classifier=U32)),
@@ -41,7 +40,7 @@ def test_filter_is_what_tc_sends(name: str, message: bytes) -> None:
     ("name", "message"),
     [
         ("u32_all", tc.add_filter(LO, 3, tc.ANY, [LO], classifier=U32)),
-        ("u32_group", tc.add_filter(LO, 1, tc.GROUP, [], classifier=U32)),
+        ("u32_group", tc.add_filter(LO, 1, tc.GROUP, [LO, LO], classifier=U32)),
     ],
 )
 def test_short_u32_match_differs_from_tc_by_an_empty_second_key_only(name: str, message: bytes) -> None:
@@ -72,7 +71,9 @@ def test_a_rule_that_is_not_the_last_goes_on_with_the_next_filter(classifier: tc
     assert mirred.pack(0, 0, 3, 0, 0, 2, 5) in stop  # mirror, then the next action
 
 
-def test_more_targets_than_a_filter_holds_are_refused() -> None:
+def test_a_filter_has_targets_and_no_more_than_it_holds() -> None:
+    with pytest.raises(ValueError, match="at least 1"):
+        tc.add_filter(LO, 1, tc.ANY, [], classifier=U32)
     tc.add_filter(LO, 1, tc.ANY, [5] * tc.ACTIONS_MAX, classifier=U32)
     with pytest.raises(ValueError, match="at most 31"):
         tc.add_filter(LO, 1, tc.ANY, [5] * (tc.ACTIONS_MAX + 1), classifier=U32)

@@ -14,12 +14,15 @@ import pytest
 
 from netlab.kernel import messages, netlink, offloads, probe, wiring
 from netlab.kernel import namespaces as netns
+from netlab.kernel.links import list_links
 from netlab.kernel.netlink import HEADER, NetlinkSocket, attributes
 from netlab.kernel.wiring import VethSpec, Wiring, build
 
 IFLA_ADDRESS, IFLA_IFNAME, IFLA_MTU, IFLA_OPERSTATE = 1, 3, 4, 16
 OPERSTATE_UP = 6
 ETH_P_ALL = 3
+ETH_P_IP = 0x0800
+ETHERTYPE = 0x88B5  # for local experiments
 TX_OFFLOADS = ("tx-checksum-ip-generic", "tx-scatter-gather", "tx-tcp-segmentation", "tx-udp-segmentation")
 
 
@@ -103,8 +106,6 @@ def test_far_ends_are_aligned_with_the_specs_and_silent(in_lab: Callable[[Callab
         built = build(nodes, veths)
         links = links_here()
         assert tuple(links[veth.peer_ifname][0] for veth in veths) == built.peer_ifindex
-        for veth in veths:
-            assert links[veth.peer_ifname][1][IFLA_OPERSTATE] == bytes([OPERSTATE_UP])
         assert not ipv6_interfaces_here() & {veth.peer_ifname for veth in veths}
 
     in_lab(body)
@@ -155,10 +156,40 @@ def test_a_datagram_leaves_with_its_checksum_and_arrives_at_once(
     in_lab(body)
 
 
+def test_the_very_first_frames_of_a_large_lab_arrive_both_ways(in_lab: Callable[[Callable[[], None]], None]) -> None:
+    """Nothing may be thrown away for an interface that is up but not yet active."""
+
+    def received_here(ifname: str) -> int:
+        lines = Path("/proc/thread-self/net/dev").read_text().splitlines()
+        return next(int(line.split()[2]) for line in lines if line.split()[0] == ifname + ":")
+
+    def body() -> None:
+        nodes, veths = line(80)
+        frame = b"\xff" * 6 + bytes(6) + ETHERTYPE.to_bytes(2, "big") + bytes(46)
+        with socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETH_P_IP)) as far:
+            far.settimeout(1)
+            built = build(nodes, veths)
+            for veth in veths:
+                far.sendto(frame, (veth.peer_ifname, ETHERTYPE))
+            for node in nodes:
+                with visiting(built.namespace_fds[node]), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+                    sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+                    for veth in veths:
+                        if veth.namespace == node and veth.address is not None:
+                            sock.sendto(b"first", (veth.address.rpartition(".")[0] + ".255", 9))
+            heard = {far.recvfrom(100)[1][0] for _ in veths}
+        assert heard == {veth.peer_ifname for veth in veths}
+        for veth in veths:
+            with visiting(built.namespace_fds[veth.namespace]):
+                assert received_here(veth.ifname) == 1
+
+    in_lab(body)
+
+
 def test_far_end_down_takes_the_carrier_and_up_gives_it_back(in_lab: Callable[[Callable[[], None]], None]) -> None:
     def carrier(built: Wiring) -> bool:
         with visiting(built.namespace_fds["n0"]), contextlib.closing(NetlinkSocket()) as sock:
-            return offloads.is_running(sock.fileno(), "right")
+            return {link.ifname: link.running for link in list_links(sock)}["right"]
 
     def wait(built: Wiring, wanted: bool) -> None:
         for _ in range(100_000):
@@ -179,18 +210,18 @@ def test_far_end_down_takes_the_carrier_and_up_gives_it_back(in_lab: Callable[[C
 
 def test_errors_name_node_and_interface_and_leave_nothing(in_lab: Callable[[Callable[[], None]], None]) -> None:
     def body() -> None:
-        # Dead namespaces take their veths along in the kernel's own time: each trial has its own names.
-        nodes, veths = line(3, "a")
+        nodes, veths = line(3)
         open_before = len(list(Path("/proc/self/fd").iterdir()))
         with pytest.raises(OSError, match="node n1: interface left: File exists"):
             build(nodes, [*veths, VethSpec("n1", "left", veths[0].mac, None, 1500, "more")])
-        nodes, veths = line(3, "b")
+        assert set(links_here()) == {"lo"}
         with pytest.raises(OSError, match="node n1: interface other: File exists"):
-            build(nodes, [*veths, VethSpec("n1", "other", veths[0].mac, None, 1500, "b0.1")])
+            build(nodes, [*veths, VethSpec("n1", "other", veths[0].mac, None, 1500, "far0.1")])
         with pytest.raises(OSError, match="node n0: interface right: Invalid argument"):
-            build(nodes, [VethSpec("n0", "right", veths[0].mac, None, 10, "c")])
+            build(nodes, [VethSpec("n0", "right", veths[0].mac, None, 10, "far")])
+        assert set(links_here()) == {"lo"}
         assert len(list(Path("/proc/self/fd").iterdir())) == open_before
-        build(*line(3, "d"))
+        build(nodes, veths)
 
     in_lab(body)
 
@@ -233,6 +264,7 @@ def test_a_hundred_nodes_and_nothing_is_left(in_lab: Callable[[Callable[[], None
         assert len(links_here()) == 1 + 198
         built.close()
         built.close()
+        assert set(links_here()) == {"lo"}
         assert built.namespace_fds == {}
 
     in_lab(body)
