@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,10 +10,14 @@ import pytest
 from click.testing import CliRunner
 from scapy.utils import RawPcapNgReader
 
+from netlab.capture.export import VerdictIndex
 from netlab.capture.reader import Capture
 from netlab.capture.records import Kind, PacketRecord
-from netlab.capture.schemas import Direction
+from netlab.capture.schemas import Direction, encode_packet, encode_packet_names, encode_verdict, encode_verdict_ends
+from netlab.capture.topics import Topics
+from netlab.capture.writer import CaptureWriter
 from netlab.cli.export import export
+from netlab.medium.verdicts import Verdict
 
 needs_tshark = pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is missing: apt install tshark")
 FIELDS = ["frame.interface_name", "frame.time_epoch", "frame.len", "frame.packet_flags_direction", "udp.port"]
@@ -56,6 +61,31 @@ def test_drop_reasons_stand_beside_the_packets_that_they_befell(write_capture: C
     sent = [text for text, record in zip(comments, records, strict=True) if record.node == "base"]
     assert sent == ["", "", "robot1/eth0: lost on the way"] * 3
     assert not any(text for text, record in zip(comments, records, strict=True) if record.node == "robot1")
+
+
+def test_reasons_find_the_right_one_of_equal_frames(tmp_path: Path) -> None:
+    """A beacon is the same bytes each time; it is heard by two, and each copy has its own fate."""
+    first = {"b": Verdict.LOST, "c": Verdict.DELIVERED}
+    second = {"b": Verdict.DELIVERED, "c": Verdict.QUEUE_FULL}
+    writer = CaptureWriter(tmp_path / "same.mcap")
+    topics = Topics(writer)
+    frame, names = bytes(60), encode_packet_names("a", "eth0")
+    for number, fates in enumerate((first, second)):
+        t_ns = 10**18 + number * 10**6
+        channel, _ = topics.packets("a", "eth0", 1)
+        head = encode_packet(zlib.crc32(frame), 60, 1, Direction.OUTBOUND, names, 60)
+        writer.add_message(channel, t_ns, t_ns, head, frame)
+        for receiver, verdict in fates.items():
+            ends = encode_verdict_ends(("a", "eth0"), (receiver, "eth0"))
+            body = encode_verdict(ends, verdict, 0, 60, zlib.crc32(frame))
+            writer.add_message(topics.verdicts(), t_ns + 10_000, t_ns + 10_000, body)
+    writer.close()
+    with Capture.open(tmp_path / "same.mcap") as capture:
+        index = VerdictIndex(capture)
+        found = [
+            index.comments(record) for record in capture.records({Kind.PACKET}) if isinstance(record, PacketRecord)
+        ]
+    assert found == [("b/eth0: lost on the way",), ("c/eth0: dropped: queue full",)]
 
 
 def test_scapy_reads_the_same_bytes(write_capture: Callable[..., Path]) -> None:

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zlib
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
@@ -63,6 +64,7 @@ def test_it_agrees_with_tcpdump_packet_for_packet(tmp_path: Path) -> None:
     assert len(theirs) > 1200
     assert [record.frame for record in ours if record.interface == "eth0"] == theirs
     assert {record.interface for record in ours} == {"eth0"}  # nothing of the loopback
+    assert all(record.crc32 == zlib.crc32(record.frame) for record in ours)  # what verdicts are matched by
     directions = Counter(record.direction for record in ours)
     assert directions[Direction.OUTBOUND] > 600
     assert directions[Direction.INBOUND] > 600

@@ -224,6 +224,7 @@ def test_inspect_lists_the_other_kinds(run: Path) -> None:
     assert "lost" in look(run, "--kind", "verdicts")[1]
     assert len(look(run, "--kind", "timeline", "--node", "a")) == 2
     assert len(look(run, "--kind", "events", "--peer", "b")) == 3
+    assert len(look(run, "--kind", "events", "--priority", "1")) == 0
     bulk, telemetry = look(run, "--kind", "messages")
     assert bulk.endswith("2 fragments +1 again not delivered")
     assert telemetry.endswith("delivered after 31.0 ms")
