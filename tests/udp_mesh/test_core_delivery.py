@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from udp_mesh.core import events, wire
-from udp_mesh.core.mesh import Path
+from udp_mesh.core.mesh import Path, Refused
 
 RELAXED = settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 
@@ -64,7 +65,8 @@ def test_delivered_at_most_once_and_acknowledged_means_delivered(
     for number, size in enumerate(sizes):
         payload = number.to_bytes(2, "big") + bytes(size)
         to = "all" if number % 4 == 3 else "b"
-        published[net.cores["a"].epoch, net.publish("a", "t", payload, to, priority=number % 3)] = payload
+        with contextlib.suppress(Refused):  # with much loss the peer may be held offline
+            published[net.cores["a"].epoch, net.publish("a", "t", payload, to, priority=number % 3)] = payload
         if number == len(sizes) // 2 and restart:
             net.run(0.02)
             net.stop(restart)

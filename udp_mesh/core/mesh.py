@@ -129,6 +129,10 @@ class MeshCore:
             self._state.counters[f"refused_{refusal.reason.value}"] += 1
             raise
 
+    def has_room(self, topic: str, size_bytes: int) -> bool:
+        """Whether a message for one destination fits into the queue without dropping another."""
+        return self._outbox.has_room(topic, size_bytes)
+
     def peers(self, *, now: float) -> list[PeerStatus]:
         """Return the state of every node ever heard in this epoch."""
         return [

@@ -70,6 +70,12 @@ class Outbox:
             self._add(message, lane, now=now)
         return message.message_id
 
+    def has_room(self, topic: str, size_bytes: int) -> bool:
+        """Whether a message for one destination fits into the queue without dropping another."""
+        settings = self._state.settings
+        messages = len(self._by_topic.get(topic, {}))
+        return self.queued_bytes + size_bytes <= settings.queue_bytes and messages < settings.queue_messages
+
     def _lanes(self, message: Message, to: str, *, now: float) -> list[Lane]:
         state = self._state
         if to == BROADCAST_NAME:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 INITIAL_RTT_S = 0.1
-GRANULARITY_S = 0.001
+GRANULARITY_S = 0.005  # a busy host answers no more punctually; less would repeat what was not lost
 MAX_PROBE_TIMEOUT_S = 0.1
 
 

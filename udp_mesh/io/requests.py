@@ -48,6 +48,8 @@ class Requests:
 
     def publish(self, connection: Connection, publish: Publish) -> None:
         """Publish, or park the connection until there is room, if the application chose to wait."""
+        if connection.parked is publish and not self._core.has_room(publish.topic, len(publish.payload)):
+            return
         policy = publish.overrides.apply(self._core.settings.policy(publish.topic))
         try:
             message_id = self._core.publish(
