@@ -1,4 +1,4 @@
-"""Delay distribution tables as sch_netem takes them, encoded. The values are :mod:`netlab.medium.distributions`'. Pure."""
+"""Delay distribution tables as sch_netem takes them, encoded; values of :mod:`netlab.medium.distributions`. Pure."""
 
 from __future__ import annotations
 

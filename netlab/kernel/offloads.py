@@ -33,14 +33,23 @@ def disable_offloads(fd: int, ifname: str) -> None:
     Raises:
         OSError: No such interface, or not permitted.
     """
-    names = _feature_names(fd, ifname)
+    if not _orders_cache:
+        _orders_cache.append(_order(_feature_names(fd, ifname)))
+    # A copy: the kernel writes back.
+    _ethtool(fd, ifname, array.array("I", _orders_cache[0]))
+
+
+_orders_cache: list[array.array[int]] = []  # the same for every interface of a kernel
+
+
+def _order(names: tuple[str, ...]) -> array.array[int]:
     blocks = [0] * ((len(names) + 31) // 32)
     for bit, name in enumerate(names):
         if _is_tx_offload(name):
             blocks[bit // 32] |= 1 << bit % 32
     # Per block: which bits are meant, and their new values. Bits that the driver does not offer are passed over.
     words = [word for block in blocks for word in (block, 0)]
-    _ethtool(fd, ifname, array.array("I", [_ETHTOOL_SFEATURES, len(blocks), *words]))
+    return array.array("I", [_ETHTOOL_SFEATURES, len(blocks), *words])
 
 
 def _is_tx_offload(name: str) -> bool:
@@ -49,21 +58,16 @@ def _is_tx_offload(name: str) -> bool:
     )
 
 
-_names_cache: list[tuple[str, ...]] = []
-
-
 def _feature_names(fd: int, ifname: str) -> tuple[str, ...]:
-    """Bit number -> name; the same for every interface of a kernel, so asked once."""
-    if not _names_cache:
-        count = array.array("I", [_ETHTOOL_GSSET_INFO, 0, 1 << _ETH_SS_FEATURES, 0, 0])
-        _ethtool(fd, ifname, count)
-        strings = array.array("B", struct.pack("=III", _ETHTOOL_GSTRINGS, _ETH_SS_FEATURES, count[4]))
-        strings.frombytes(bytes(count[4] * _ETH_GSTRING_LEN))
-        _ethtool(fd, ifname, strings)
-        text = strings.tobytes()[12:]
-        fields = (text[start : start + _ETH_GSTRING_LEN] for start in range(0, len(text), _ETH_GSTRING_LEN))
-        _names_cache.append(tuple(field.split(b"\0")[0].decode() for field in fields))
-    return _names_cache[0]
+    """Bit number -> name."""
+    count = array.array("I", [_ETHTOOL_GSSET_INFO, 0, 1 << _ETH_SS_FEATURES, 0, 0])
+    _ethtool(fd, ifname, count)
+    strings = array.array("B", struct.pack("=III", _ETHTOOL_GSTRINGS, _ETH_SS_FEATURES, count[4]))
+    strings.frombytes(bytes(count[4] * _ETH_GSTRING_LEN))
+    _ethtool(fd, ifname, strings)
+    text = strings.tobytes()[12:]
+    fields = (text[start : start + _ETH_GSTRING_LEN] for start in range(0, len(text), _ETH_GSTRING_LEN))
+    return tuple(field.split(b"\0")[0].decode() for field in fields)
 
 
 def _ethtool(fd: int, ifname: str, command: array.array[int]) -> None:
