@@ -12,6 +12,7 @@ from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, PacketRecord, VerdictRecord
 from netlab.capture.schemas import Direction
 from netlab.errors import CaptureError
+from netlab.traces.links import PacketLinks
 from netlab.traces.model import (
     EVERYBODY,
     Delivery,
@@ -53,6 +54,7 @@ class _Loader:
     def __init__(self, capture: Capture) -> None:
         self._trace = Trace(path=str(capture.path), t0_ns=capture.t0_ns)
         self._nodes: dict[int, str] = {}  # an epoch's tag -> the node that sends with it
+        self._packet_links: PacketLinks | None = None  # only where the medium tells no verdicts
         self._tags: list[int] = []  # destination tag per fragment, in the order of loading
         self._fragments: list[Fragment] = []
         self._messages: dict[tuple[str, int, int], tuple[int, int]] = {}
@@ -85,10 +87,15 @@ class _Loader:
             )
             for item in json.loads(metadata.get("streams", "[]"))
         )
+        macs: dict[bytes, Interface] = {}
         for port in json.loads(metadata.get("ports", "[]")):
             self._interfaces[port["node"], port.get("segment")] = interface = (port["node"], port["interface"])
+            if port.get("mac"):
+                macs[bytes.fromhex(port["mac"].replace(":", ""))] = interface
             if port.get("rate_bps"):
                 trace.rates_bps[interface] = [(0, float(port["rate_bps"]))]
+        if not any(topic.kind is Kind.VERDICT for topic in capture.topics):
+            self._packet_links = PacketLinks(macs)
         for stream in trace.streams:
             trace.published[stream.index], trace.delivered[stream.index] = [], []
 
@@ -96,6 +103,8 @@ class _Loader:
         self._take[record.kind](record)
 
     def packet(self, record: PacketRecord) -> None:
+        if self._packet_links is not None:
+            self._packet_links.packet(record)
         if record.direction is not Direction.OUTBOUND:
             return
         datagram = udp_of(record.frame, record.linktype)
@@ -135,6 +144,8 @@ class _Loader:
             destination = fragment.destination or self._nodes.get(tag, "")
             whole = replace(fragment, destination=destination, message=message)
             trace.fragments.setdefault(fragment.node, []).append(whole)
+        if self._packet_links is not None:
+            trace.links = self._packet_links.counts()
         trace.notes = notes
         return trace
 
