@@ -1,7 +1,8 @@
 """What became of frames between interfaces, told from packets alone: for runs whose medium gives no verdicts.
 
 A frame that left one interface arrived at another if the same bytes came in there. Why a frame is missing cannot be
-told: all that is missing counts as lost, frames that were corrupted on the way included.
+told: all that is missing counts as lost, frames that were corrupted on the way included. Of equal frames that are under
+way at the same time only one is found again.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ class PacketLinks:
         """Count one packet at one interface."""
         here, target = (record.node, record.interface), self._macs.get(record.frame[:6])
         if record.direction is Direction.OUTBOUND:
-            self._sent[record.crc32] = (here, {here})
             if record.frame[:1] and record.frame[0] & _GROUP:
                 offered = self._group.setdefault(here, [0, 0])
             elif target is not None:
                 offered = self._unicast.setdefault((here, target), [0, 0])
             else:
                 return
+            self._sent[record.crc32] = (here, {here})
             offered[0] += 1
             offered[1] += record.original_length
         elif target in (here, None) and (sent := self._sent.get(record.crc32)) and here not in sent[1]:

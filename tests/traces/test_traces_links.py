@@ -78,5 +78,6 @@ def test_equal_frames_count_each_time(air: Air) -> None:
 def test_frames_to_strangers_and_empty_ones_are_left_out(air: Air) -> None:
     air.links = PacketLinks({})
     air.send("a", "b", "b")
+    air.send("a", "all")
     air.see("a", b"", Direction.OUTBOUND)
     assert air.told() == {}
