@@ -7,6 +7,7 @@ Owns the devices between the far ends of the nodes' veths and keeps their qdiscs
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Iterable
 
 from netlab.engines import netem_plan
@@ -57,8 +58,11 @@ class NetemEngine:
         """Network namespace of every node, held open for the lab's life."""
         return self._up()[0].namespace_fds
 
-    def bring_up(self) -> None:
+    def bring_up(self) -> float:
         """Create namespaces, interfaces, filters and qdiscs; after a failure nothing is left.
+
+        Returns:
+            Seconds from before the first namespace to the last interface, filter and qdisc in place.
 
         Raises:
             MachineError: The kernel lacks sch_netem or classifiers, or refuses an order; names it and the way out.
@@ -66,11 +70,13 @@ class NetemEngine:
         classifier = choose_classifier(tc_features())
         for text in netem_plan.warnings(self._plan):
             _log.warning("%s", text)
+        started = time.monotonic()
         try:
             self._create(classifier)
         except BaseException:
             self._undo()
             raise
+        return time.monotonic() - started
 
     def set_pairs(self, changes: dict[Pair, Impairment | None]) -> None:
         """Change pairs at once; None takes a pair out of range.
