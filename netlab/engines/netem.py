@@ -114,6 +114,10 @@ class NetemEngine:
         """Nothing is ever written: the kernel does not tell which frame it dropped, or why. The caller keeps ``fd``."""
         _log.info("the netem engine cannot record radio verdicts: the kernel keeps them to itself")
 
+    def problem(self) -> str | None:
+        """Always None: nothing of this engine runs outside the kernel."""
+        return None
+
     def close(self) -> None:
         """Remove the pairs' devices and close this process's descriptors; idempotent."""
         self._undo()

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from netlab.engines import netem
-from netlab.engines.base import LabPlan
+from netlab.engines.base import Engine, LabPlan
 from netlab.engines.netem import NetemEngine, choose_classifier
 from netlab.errors import MachineError
 from netlab.kernel import pairs
@@ -110,6 +110,13 @@ def test_bring_up_is_one_batch_with_a_qdisc_per_pair_and_filters_at_every_ingres
     netems = [index for kind, index in orders[:6]]
     assert netems == [2000, 2002, 2004, 2006, 2008, 2010]
     assert sum(kind == RTM_NEWTFILTER for kind, _ in orders) == 3 * (1 + 2) + 6
+
+
+def test_it_is_an_engine_and_tells_how_long_it_took(kernel: Kernel) -> None:
+    engine: Engine = NetemEngine(plan(2))  # the type checker's test
+    assert 0 <= engine.bring_up() < 60
+    assert engine.problem() is None
+    assert sorted(engine.namespace_fds) == ["n0", "n1"]
 
 
 def test_two_ports_are_shaped_at_the_receivers_far_end(kernel: Kernel) -> None:
