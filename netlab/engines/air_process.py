@@ -215,8 +215,11 @@ def _sender(ifindex: int) -> Callable[[bytes], int]:
 def _prefer_this_process() -> None:
     """Real-time priority where the user may have it: a busy machine then costs microseconds, not time slices."""
     syscalls.set_timerslack_ns(1)
-    with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, -20)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, -20)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != hard:
         with contextlib.suppress(OSError, ValueError):
