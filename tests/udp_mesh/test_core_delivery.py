@@ -23,8 +23,10 @@ def pair(make_net: Any, seed: int = 1, **link: float) -> Any:
     return net
 
 
-@pytest.mark.parametrize("size_bytes", [0, 1, 1361, 1362, 1363, 2725, 100_000])
-def test_a_message_of_any_size_arrives_as_it_was(make_net: Any, size_bytes: int) -> None:
+@pytest.mark.parametrize(
+    ("size_bytes", "fragments"), [(0, 1), (1, 1), (1361, 1), (1362, 2), (2724, 2), (2725, 3), (100_000, 74)]
+)
+def test_a_message_of_any_size_arrives_as_it_was(make_net: Any, size_bytes: int, fragments: int) -> None:
     net = pair(make_net)
     payload = bytes(net.rng.randbytes(size_bytes))
     net.publish("a", "t", payload, "b", priority=7)
@@ -32,6 +34,7 @@ def test_a_message_of_any_size_arrives_as_it_was(make_net: Any, size_bytes: int)
     (message,) = net.delivered("b")
     assert (message.payload, message.topic, message.priority, message.source) == (payload, "t", 7, "a")
     assert len(net.of("a", events.MessageAcked)) == 1
+    assert net.of("a", events.MessageQueued)[0].fragment_count == fragments
 
 
 def test_no_datagram_is_longer_than_set_and_bulk_fills_them(make_net: Any) -> None:
@@ -181,3 +184,14 @@ def test_a_lost_acknowledgement_delivers_nothing_twice(make_net: Any) -> None:
     assert len(net.delivered("b")) == 1
     assert len(net.of("a", events.MessageAcked)) == 1
     assert net.cores["a"].stats()["fragments_retransmitted"] > 0
+
+
+def test_a_repeated_packet_is_recognised_before_its_content(make_net: Any) -> None:
+    net = pair(make_net)
+    net.link("a", "b", duplicate_ratio=1.0)
+    net.publish("a", "t", bytes(20_000), "b")
+    net.run(1.0)
+    stats = net.cores["b"].stats()
+    assert len(net.delivered("b")) == 1
+    assert stats["duplicate_packets"] >= 15
+    assert "fragments_duplicate" not in stats

@@ -280,3 +280,15 @@ def test_probing_can_be_switched_off_while_running(make_net: Any) -> None:
     before = len(net.packets("a"))
     net.run(5.0)
     assert not any(packet.probes for _at, packet in net.packets("a")[before:])
+
+
+def test_a_node_that_was_asleep_gives_its_peers_a_moment(make_net: Any) -> None:
+    net = pair(make_net)
+    net.publish("a", "t", b"x", "b")
+    net.run(0.0)
+    core = net.cores["a"]
+    asleep_until_s = net.now + 3.0
+    core.handle_timer(now=asleep_until_s)
+    assert core.peers(now=asleep_until_s)[0].online
+    core.handle_timer(now=asleep_until_s + 0.101)
+    assert not core.peers(now=asleep_until_s + 0.101)[0].online

@@ -38,6 +38,8 @@ PROBE_SLOW_INTERVAL_S = 1.0
 PROBE_TRAFFIC_WITHIN_S = 600.0
 PATH_STALE_AFTER_S = 1.5
 CONFLICT_AFTER_S = 3.0
+STALL_S = 0.05
+STALL_GRACE_S = 0.1
 INTRODUCTION_INTERVAL_S = 0.05
 _MAX_INTRODUCTIONS = 256
 
@@ -166,15 +168,20 @@ class Liveness:
     def check(self, *, now: float) -> None:
         """Hold peers offline that have been silent for too long."""
         for peer in self._state.peers.values():
-            if peer.is_online and now >= self._offline_at_s(peer):
+            offline_at_s = self._offline_at_s(peer)
+            if not peer.is_online or now < offline_at_s:
+                continue
+            if now - offline_at_s > STALL_S and peer.grace_until_s < offline_at_s:
+                peer.grace_until_s = now + STALL_GRACE_S  # we were not running; what it sent may still wait to be read
+            else:
                 self._go_down(peer, now=now)
 
     def _offline_at_s(self, peer: Peer) -> float:
         missed_s = peer.last_heard_s + MISSED_BEACONS * peer.beacon_interval_s
         if peer.waiting_since_s is None or not len(peer.session.recovery):
-            return missed_s
+            return max(missed_s, peer.grace_until_s)
         patience_s = max(self._state.settings.suspect_after_s, 3 * peer.session.rtt.probe_timeout_s(expirations=0))
-        return peer.waiting_since_s + patience_s
+        return max(peer.waiting_since_s + patience_s, peer.grace_until_s)
 
     def _go_down(self, peer: Peer, *, now: float) -> None:
         was_waiting = peer.waiting_since_s is not None and len(peer.session.recovery) > 0

@@ -71,6 +71,7 @@ class Peer:
         self.beacon_interval_s = 1.0
         self.last_heard_s = now
         self.waiting_since_s: float | None = None  # oldest unanswered packet since it last showed that it hears us
+        self.grace_until_s = NEVER_S  # not held offline before: this node itself was asleep
         self.down_since_s = NEVER_S
         self.last_traffic_s = NEVER_S
         self.last_window_event_s = NEVER_S
