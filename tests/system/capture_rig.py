@@ -9,11 +9,12 @@ import contextlib
 import json
 import os
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from netlab.capture.handle import Recorder
 from netlab.capture.messages import RecorderStats
 from netlab.ipc import Channel
 from netlab.kernel import syscalls
+from netlab.kernel.offloads import disable_offloads, is_running
+from udp_mesh.client import Client
 
 #: Broadcast frames of an experimental EtherType, one with the tag of VLAN 7.
 UNTAGGED = bytes.fromhex("ffffffffffff02000000000188b5") + b"payload".ljust(46, b".")
@@ -32,7 +35,9 @@ ADDRESSES = {"a": "10.9.0.1", "b": "10.9.0.2"}
 def enter(program: str, *arguments: str, timeout_s: float = 60) -> dict[str, object]:
     """Start this file with new network, mount and, unless root, user namespaces; return what it printed."""
     user = [] if os.geteuid() == 0 else ["--map-root-user"]
-    argv = ["unshare", "--net", "--mount", *user, "--", sys.executable, __file__, program, *arguments]
+    # A process namespace of its own: whatever the program started ends with it, in whatever way it ends.
+    own = ["--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
+    argv = ["unshare", *own, *user, "--", sys.executable, __file__, program, *arguments]
     path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]))
     done = subprocess.run(
         argv, capture_output=True, text=True, timeout=timeout_s, check=False, env={**os.environ, "PYTHONPATH": path}
@@ -86,9 +91,22 @@ def build() -> Nodes:
         with nodes.inside(node):
             run("ip link set lo up")
             run("ip link set eth0 addrgenmode none")
-            run(f"ip addr add {address}/24 dev eth0")
+            run(f"ip addr add {address}/24 brd + dev eth0")
             run("ip link set eth0 up")
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:  # frames as on a wire, as the engines do it
+                disable_offloads(sock.fileno(), "eth0")
+    wait_for_carrier(nodes, "eth0")
     return nodes
+
+
+def wait_for_carrier(nodes: Nodes, interface: str) -> None:
+    """The kernel sees the other end a moment after it came up; what is sent before that goes nowhere."""
+    deadline = time.monotonic() + 20
+    for node in nodes.fds:
+        with nodes.inside(node), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            while not is_running(sock.fileno(), interface):
+                assert time.monotonic() < deadline, f"{interface} of {node} stays down"
+                time.sleep(0.002)
 
 
 def _new_namespace() -> int:
@@ -122,7 +140,7 @@ class Recording:
         return stats, usage.ru_utime + usage.ru_stime
 
 
-def record(nodes: Nodes, path: str) -> Recording:
+def record(nodes: Nodes, path: str, metadata: Mapping[str, str] | None = None) -> Recording:
     """Start a recorder on both nodes."""
     ours, theirs = Channel.pair()
     argv = [sys.executable, "-m", "netlab.capture.recorder", "--channel-fd", str(theirs.fileno())]
@@ -130,7 +148,7 @@ def record(nodes: Nodes, path: str) -> Recording:
     pid = os.posix_spawn(sys.executable, argv, os.environ)
     theirs.close()
     recorder = Recorder(ours)
-    recorder.open(path, {"name": "rig"}, {}, nodes=len(nodes.fds))
+    recorder.open(path, {"name": "rig", **(metadata or {})}, {}, nodes=len(nodes.fds))
     for node, fd in nodes.fds.items():
         recorder.add_interfaces(node, fd, ["eth0"])
     recorder.sync()
@@ -188,6 +206,7 @@ def new_interface(folder: str) -> dict[str, object]:
         old.bind(("eth0", 0))
     with nodes.inside("b"):
         run("ip link set late0 addrgenmode none up")
+    wait_for_carrier(nodes, "late0")
     with nodes.inside("a"):
         late.bind(("late0", 0))
     old.send(TAGGED)
@@ -258,11 +277,72 @@ def throughput(folder: str, rate_pps: str, duration_s: str) -> dict[str, object]
     }
 
 
+def daemons(folder: str) -> dict[str, object]:
+    """A udp_mesh daemon in each node; a publishes 20 messages of 200 kB and 40 of 200 B to b."""
+    nodes = build()
+    streams = [
+        {"stream": number, "source": "a", "destination": "b", "topic": topic, "priority": priority}
+        for number, (topic, priority) in enumerate((("telemetry", 1), ("map", 9)))
+    ]
+    recording = record(nodes, f"{folder}/run.mcap", {"streams": json.dumps(streams), "duration_s": "5"})
+    processes = [_daemon(nodes, recording, node, folder) for node in ADDRESSES]
+    published = _feed(recording, "/a/traffic/published", "a")
+    received = _feed(recording, "/b/traffic/received", "b")
+    with Client(f"{folder}/a.sock") as source, Client(f"{folder}/b.sock") as sink:
+        for topic in ("telemetry", "map"):
+            sink.subscribe(topic)
+        assert source.wait_for_peer("b", timeout_s=15)
+        for seq in range(40):
+            sizes = [200, 200_000] if seq % 2 else [200]
+            for stream, size_bytes in reversed(list(enumerate(sizes))):
+                t_ns = time.time_ns()
+                payload = struct.pack("<4sHIQ", b"NLT1", stream, seq, t_ns).ljust(size_bytes, b"x")
+                topic, priority = str(streams[stream]["topic"]), int(str(streams[stream]["priority"]))
+                source.publish(topic, payload, to="b", priority=priority)
+                told = {"event": "published", "stream": stream, "seq": seq, "t_ns": t_ns, "size_bytes": size_bytes}
+                os.write(published, json.dumps({**told, "accepted": True, "reason": None}).encode() + b"\n")
+        count = 0
+        while count < 60 and (message := sink.receive(timeout_s=10)) is not None:
+            _, stream, seq, t_ns = struct.unpack_from("<4sHIQ", message.payload)
+            told = {"event": "received", "stream": stream, "seq": seq, "published_ns": t_ns, "t_ns": time.time_ns()}
+            os.write(received, json.dumps({**told, "size_bytes": len(message.payload)}).encode() + b"\n")
+            count += 1
+    for process in processes:
+        process.terminate()
+        process.wait()
+    for fd in (published, received):
+        os.close(fd)
+    stats, _ = recording.close()
+    return {"received": count, "lines_dropped": stats.feed_lines_dropped, "drops": stats.kernel_drops}
+
+
+def _daemon(nodes: Nodes, recording: Recording, node: str, folder: str) -> subprocess.Popen[bytes]:
+    Path(f"{folder}/{node}.toml").write_text(f'name = "{node}"\nsocket = "{folder}/{node}.sock"\n')
+    events, ready = _feed(recording, f"/{node}/udp_mesh/events", node), os.pipe()
+    code = "import sys; from udp_mesh.daemon import main; sys.exit(main(sys.argv[1:]))"
+    options = ["--config", f"{folder}/{node}.toml", "--events-fd", str(events), "--ready-fd", str(ready[1])]
+    with nodes.inside(node):
+        process = subprocess.Popen([sys.executable, "-c", code, *options], pass_fds=[events, ready[1]])
+    os.close(events)
+    os.close(ready[1])
+    assert os.read(ready[0], 100) == b"READY=1\n"
+    os.close(ready[0])
+    return process
+
+
+def _feed(recording: Recording, topic: str, node: str) -> int:
+    theirs, ours = socket.socketpair()
+    recording.recorder.add_feed("events", topic, node, topic.split("/")[2], theirs.fileno())
+    theirs.close()
+    return ours.detach()
+
+
 PROGRAMS: dict[str, Callable[..., dict[str, object]]] = {
     "beside_tcpdump": beside_tcpdump,
     "new_interface": new_interface,
     "full_disk": full_disk,
     "throughput": throughput,
+    "daemons": daemons,
 }
 
 if __name__ == "__main__":

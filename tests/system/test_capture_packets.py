@@ -20,6 +20,10 @@ from netlab.capture.reader import Capture
 from netlab.capture.records import Kind, PacketRecord
 from netlab.capture.schemas import Direction
 from netlab.cli.export import export
+from netlab.traces.load import load_trace
+from netlab.traces.messages import message_lives
+from netlab.traces.retransmissions import retransmissions
+from netlab.traces.streams import stream_reports
 
 
 def _load_rig() -> ModuleType:
@@ -95,3 +99,24 @@ def test_a_full_disk_ends_the_recording_not_the_run(tmp_path: Path) -> None:
     with Capture.open(tmp_path / "copy.mcap") as capture:
         assert sum(1 for _ in capture.records({Kind.PACKET})) == result["written"]
         assert capture.metadata["name"] == "rig"
+
+
+def test_what_real_daemons_do_becomes_a_trace(tmp_path: Path) -> None:
+    result = rig.enter("daemons", str(tmp_path))
+    assert result == {"received": 60, "lines_dropped": 0, "drops": {}}
+    trace = load_trace(tmp_path / "run.mcap")
+    telemetry, maps = stream_reports(trace)
+    assert (telemetry.sent, telemetry.delivered, telemetry.duplicates) == (40, 40, 0)
+    assert (maps.sent, maps.delivered, maps.duplicates) == (20, 20, 0)
+    assert trace.presence["a", "b"].online[0] is True
+    counts = {fragment.message: fragment.count for fragment in trace.fragments["a"]}
+    assert set(counts.values()) == {1, max(counts.values())}
+    for life in message_lives(trace):
+        assert life.fragments == counts[life.stream.index, life.published.seq], life
+        assert life.first_sent_ns is not None
+        assert life.delivery is not None
+        assert life.published.t_ns < life.first_sent_ns < life.delivery.t_ns
+    fragments = trace.fragments["a"]
+    assert {fragment.destination for fragment in fragments} == {"b"}
+    assert {fragment.priority for fragment in fragments} == {1, 9}
+    assert len(fragments) == sum(counts.values()) + len(retransmissions(trace, "a"))
