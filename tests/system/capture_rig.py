@@ -6,6 +6,7 @@ Programs print one JSON object; the tests and the benchmark start them and judge
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import socket
@@ -22,7 +23,7 @@ from netlab.capture.handle import Recorder
 from netlab.capture.messages import RecorderStats
 from netlab.ipc import Channel
 from netlab.kernel import syscalls
-from netlab.kernel.offloads import disable_offloads, is_running
+from netlab.kernel.offloads import disable_offloads
 from udp_mesh.client import Client
 
 #: Broadcast frames of an experimental EtherType, one with the tag of VLAN 7.
@@ -107,6 +108,12 @@ def wait_for_carrier(nodes: Nodes, interface: str) -> None:
             while not is_running(sock.fileno(), interface):
                 assert time.monotonic() < deadline, f"{interface} of {node} stays down"
                 time.sleep(0.002)
+
+
+def is_running(fd: int, interface: str) -> bool:
+    """Whether the interface has a carrier, by the flags that ioctl SIOCGIFFLAGS tells."""
+    answer = fcntl.ioctl(fd, 0x8913, struct.pack("16sH22x", interface.encode(), 0))
+    return bool(struct.unpack_from("16sH", answer)[1] & 0x40)
 
 
 def _new_namespace() -> int:
