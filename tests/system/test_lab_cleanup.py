@@ -54,6 +54,8 @@ class Leftovers:
     def _held_by(self, pids: list[int]) -> set[str]:
         found = set()
         for pid in pids:
+            if _is_zombie(pid):  # has let go of everything; its parent has not asked for its exit code yet
+                continue
             for link in (*Path(f"/proc/{pid}/ns").glob("*"), *_descriptors(pid)):
                 try:
                     target = str(link.readlink())
@@ -62,6 +64,13 @@ class Leftovers:
                 if target.partition(":")[0] in KINDS:
                     found.add(target)
         return found - self._own
+
+
+def _is_zombie(pid: int) -> bool:
+    try:
+        return "\nState:\tZ" in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
 
 
 def _descriptors(pid: int) -> list[Path]:
