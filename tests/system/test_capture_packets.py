@@ -26,17 +26,17 @@ from netlab.traces.retransmissions import retransmissions
 from netlab.traces.streams import stream_reports
 
 
-def _load_rig() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("capture_rig", Path(__file__).parent / "capture_rig.py")
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["capture_rig"] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
 
 
-rig = _load_rig()
+rig, programs = _load("capture_rig"), _load("capture_programs")
 
 
 def _namespaces_work() -> bool:
@@ -85,7 +85,7 @@ def test_an_interface_that_appears_later_is_captured_and_tags_are_kept(tmp_path:
     rig.enter("new_interface", str(tmp_path))
     for node in ("a", "b"):
         frames = {record.interface: record.frame for record in packets(tmp_path / "run.mcap", node)}
-        assert frames == {"eth0": rig.TAGGED, "late0": rig.UNTAGGED}, node
+        assert frames == {"eth0": programs.TAGGED, "late0": programs.UNTAGGED}, node
 
 
 def test_a_full_disk_ends_the_recording_not_the_run(tmp_path: Path) -> None:
