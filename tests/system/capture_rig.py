@@ -27,7 +27,7 @@ ADDRESSES = {"a": "10.9.0.1", "b": "10.9.0.2"}
 
 
 def enter(program: str, *arguments: str, timeout_s: float = 60) -> dict[str, object]:
-    """Start a program of capture_programs.py with new network, mount and, unless root, user namespaces; return what it printed."""
+    """Run one of capture_programs.py in namespaces of its own (a user namespace too unless root); return its answer."""
     user = [] if os.geteuid() == 0 else ["--map-root-user"]
     # A process namespace of its own: whatever the program started ends with it, in whatever way it ends.
     own = ["--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
