@@ -5,7 +5,8 @@ bottleneck, whatever its rate. Differences from the paper:
 
 * Delay is one-way, on the forward path (the receiver stamps arrivals), so a busy return path does not slow us.
 * Below ``QUIET_DELAY_S`` delay is no sign of a queue but of schedulers and radios; the window then grows.
-* The base delay is the least of the last 10 s; the standing delay the least of the last half round trip, at least 5 ms.
+* On fast links a packet is too small a unit: hosts handle bursts. There the target is a queue of ``UNIT_S / delta``.
+* The base delay is the least of the last 10 s; the standing delay the least of half a round trip, or 5 ms if longer.
 * Loss alone says nothing on a radio. Only loss of more than ``HEAVY_LOSS_RATIO`` over whole windows shrinks the window.
 * Packets leave at ``PACING_GAIN`` times window per round trip. A few urgent packets may exceed window and pace.
 """
@@ -19,11 +20,12 @@ from udp_mesh.core.rtt import RttEstimator
 
 DELTA = 0.5
 QUIET_DELAY_S = 0.001
+UNIT_S = 0.001
 PACING_GAIN = 1.25
 START_GAIN = 2.0
 BASE_WINDOW_S = 10.0
 MIN_STANDING_WINDOW_S = 0.005
-MIN_PACKETS = 4
+MIN_PACKETS = 2
 INITIAL_PACKETS = 10
 MAX_CWND_BYTES = 64 * 1024 * 1024
 MAX_VELOCITY = 64.0
@@ -125,7 +127,11 @@ class Copa:
     def _is_below_target(self) -> bool:
         if self.queue_delay_s <= QUIET_DELAY_S:
             return True
-        return self._cwnd / self._rtt_s <= self._datagram_bytes / (DELTA * self.queue_delay_s)
+        return self._cwnd / self._rtt_s <= self._unit_bytes() / (DELTA * self.queue_delay_s)
+
+    def _unit_bytes(self) -> float:
+        """Return what takes the place of Copa's packet: one datagram, on fast links what leaves in ``UNIT_S``."""
+        return max(self._datagram_bytes, UNIT_S * self._cwnd / self._rtt_s)
 
     def _delivered_per_rtt(self) -> float:
         return self.rate_bps / 8 * self._rtt_s
