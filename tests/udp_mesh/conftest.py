@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from random import Random
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from udp_mesh.core import events, wire
 from udp_mesh.core.mesh import Datagram, MeshCore, Path, new_epoch
 from udp_mesh.core.settings import Settings
 
 HEADERS_BYTES = 42  # Ethernet, IPv4, UDP
+
+# A busy machine stalls for longer than Hypothesis's usual deadline; that is no finding.
+settings.register_profile("udp_mesh", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("udp_mesh")
 
 
 @dataclass(slots=True)
@@ -169,8 +174,6 @@ class Net:
 
     def publish(self, sender: str, topic: str, payload: bytes, to: str, **policy: object) -> int:
         """Publish with the topic's configured policy, changed by the given values."""
-        from dataclasses import replace
-
         core = self.cores[sender]
         chosen = replace(core.settings.policy(topic), **policy)  # type: ignore[arg-type]
         return core.publish(topic, payload, to=to, policy=chosen, now=self.now)

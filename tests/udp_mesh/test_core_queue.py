@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -200,8 +201,6 @@ def test_memory_stays_bounded_while_an_offline_peer_is_addressed_for_hours(make_
 
 
 def test_settings_change_while_running(make_net: Any) -> None:
-    from dataclasses import replace
-
     net = pair(make_net)
     core = net.cores["a"]
     core.reconfigure(replace(core.settings, window=3), now=net.now)
