@@ -13,6 +13,7 @@ import contextlib
 import json
 import os
 import pickle
+import resource
 import signal
 import sys
 from dataclasses import asdict
@@ -331,6 +332,10 @@ def main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     syscalls.set_name("netlab")
     folder = LabFolder(options.folder)
+
+    # Two descriptors per node and more per process: the usual soft limit of 1024 ends at some hundred nodes.
+    _soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
     def in_box() -> int:
         return asyncio.run(_main(folder, options.ready_fd))

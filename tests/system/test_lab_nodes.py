@@ -26,7 +26,7 @@ def test_nodes_have_their_own_names_and_reach_each_other_by_name(make_lab: MakeL
     script = """
 import socket, time
 s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(("0.0.0.0", 9)); s.settimeout(5)
-s.sendto(b"x", ("b", 9)); t = time.monotonic(); s.recv(9); print(time.monotonic() - t)
+t = time.monotonic(); s.sendto(b"x", ("b", 9)); s.recv(9); print(time.monotonic() - t)
 """
     echo = (
         "import socket\ns = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(('0.0.0.0', 9)); s.settimeout(9)\n"
