@@ -16,7 +16,7 @@ from netlab.cli.terminal import exec_with_terminal
 from netlab.errors import LabError
 from netlab.lab import registry
 from netlab.lab.control import ControlClient
-from netlab.lab.launch import LaunchOptions, launch
+from netlab.lab.launch import LaunchOptions, launch, make_room
 from netlab.scenario import load_scenario
 
 lab_option = click.option("--lab", "lab_name", metavar="NAME", help="Which lab, where more than one is running.")
@@ -50,9 +50,10 @@ def up(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, .
     """Start FILE's nodes, links and processes in the background; its traffic and events are left to `netlab run`."""
     scenario = load_scenario(file, overrides=overrides, seed=seed, engine=engine)
     if capture is not None:
-        capture.parent.mkdir(parents=True, exist_ok=True)
+        make_room(capture)
     options = LaunchOptions(
         engine=engine or str(scenario.engine),
+        scenario_text=file.read_text(),
         capture=capture.resolve() if capture else None,
         background=True,
         keep_visible=(Path(netlab.__file__).parent.parent, Path.cwd()),
@@ -62,11 +63,12 @@ def up(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, .
 
 
 @click.command()
+@lab_option
 @click.argument("name", required=False)
 @click.option("--all", "all_labs", is_flag=True, help="Stop every lab of yours.")
-def down(name: str | None, all_labs: bool) -> None:
+def down(lab_name: str | None, name: str | None, all_labs: bool) -> None:
     """Stop the lab NAME (or the only one) and wait until nothing of it is left."""
-    for folder in registry.running() if all_labs else [registry.find(name)]:
+    for folder in registry.running() if all_labs else [registry.find(name or lab_name)]:
         connection = ControlClient(folder.control_socket)
         connection.request({"do": "down"})
         connection.close()
@@ -80,18 +82,25 @@ def down(name: str | None, all_labs: bool) -> None:
 @click.command()
 def ls() -> None:
     """List your running labs: name, phase, scenario time, engine, nodes."""
-    for folder in registry.running():
+    labs = registry.running()
+    if not labs:
+        click.echo("no lab is running", err=True)
+    width = max((len(folder.name) for folder in labs), default=0)
+    for folder in labs:
         try:
             connection = ControlClient(folder.control_socket)
             status = connection.request({"do": "status"}, timeout_s=5.0)
             connection.close()
         except LabError as error:
-            click.echo(f"{folder.name}  (does not answer: {error})")
+            click.echo(f"{folder.name:{width}}  (does not answer: {error})")
             continue
         time_s = "" if status["t_s"] is None else f"  t={status['t_s']:.1f}s"
         click.echo(
-            f"{folder.name}  {status['phase']}{time_s}  engine={status['engine']}  nodes: {' '.join(status['nodes'])}"
+            f"{folder.name:{width}}  {status['phase']}{time_s}  engine={status['engine']}  "
+            f"nodes: {' '.join(status['nodes'])}"
         )
+        for text in (*status["failures"], *status["problems"], *status["notices"]):
+            click.echo(f"{'':{width}}  ! {text.splitlines()[0]}")
 
 
 @click.command("exec", context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False})
@@ -143,7 +152,7 @@ def link(lab_name: str | None, a: str, b: str, change: str, one_way: bool) -> No
         else:
             request |= {"do": "carrier", "up": change == "up"}
     else:
-        words = dict(part.partition("=")[::2] for part in change.split(",") if part)
+        words = dict(part.partition("=")[::2] for part in _split_words(change))
         request |= {"do": "link", "words": words}
     _ask(lab_name, request)
 
@@ -167,6 +176,18 @@ def logs(lab_name: str | None, node: str, process: str | None) -> None:
         if len(files) > 1:
             click.echo(f"==> {file.stem} <==")
         click.echo(file.read_text(errors="replace"), nl=False)
+
+
+def _split_words(change: str) -> list[str]:
+    """Split at commas, but not inside the braces of a value such as loss={gemodel: {p: 1%, r: 25%}}."""
+    parts, depth = [""], 0
+    for character in change:
+        depth += (character in "{[") - (character in "]}")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts if part.strip()]
 
 
 def _terminal_env() -> dict[str, str]:

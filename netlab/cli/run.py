@@ -10,7 +10,7 @@ import click
 
 from netlab.cli.background import with_scenario_options
 from netlab.cli.status import Status
-from netlab.errors import LabError, MachineError
+from netlab.errors import MachineError
 from netlab.lab.facade import Lab
 from netlab.lab.results import RunResult, needs_packets
 
@@ -34,7 +34,10 @@ def run(
     report: Path | None,
     as_json: bool,
 ) -> None:
-    """Run FILE to its end and evaluate its expectations. Exit code: 0 met, 1 not met, 2 bad scenario or machine."""
+    """Run FILE to its end and evaluate its expectations.
+
+    Exit code: 0 met, 1 not met, 2 bad scenario or machine, or a run that broke and cannot be judged.
+    """
     if where == "vm" or clock == "virtual":
         raise MachineError("--in vm and --clock virtual are not available yet; run on the host in real time")
     if report is not None:
@@ -44,9 +47,11 @@ def run(
     result = _run(lab)
     if as_json:
         click.echo(json.dumps(result.summary, indent=2))
+        if complaints := result.complaints():
+            click.echo(complaints, err=True)
     else:
         click.echo(result.report())
-    sys.exit(0 if result.passed else 1)
+    sys.exit(result.exit_code)
 
 
 DEFAULT_SCENARIO = Path("topologies/default.yaml")
@@ -63,7 +68,7 @@ def lab(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, 
     result = _run(running)
     click.echo(result.report())
     click.echo(f"capture: {kept}  (netlab inspect {kept})")
-    sys.exit(0 if result.passed else 1)
+    sys.exit(result.exit_code)
 
 
 def _run(lab: Lab) -> RunResult:
@@ -73,4 +78,5 @@ def _run(lab: Lab) -> RunResult:
             status.ready(lab.name, lab.status())
             return lab.run(status.update)
     except KeyboardInterrupt:
-        raise LabError("interrupted; the lab has been taken down") from None
+        click.echo("interrupted; the lab has been taken down", err=True)
+        raise click.Abort from None

@@ -48,7 +48,7 @@ class Status:
 
     def update(self, status: dict[str, Any]) -> None:
         """Show the present state."""
-        for text in (*status["problems"], *status["notices"]):
+        for text in (*status["failures"], *status["problems"], *status["notices"]):
             if text not in self._told:
                 self._told.add(text)
                 headline = text.splitlines()[0]  # the whole story stands in the final report

@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import os
 import pty
+import select
 import selectors
 import signal
 import sys
@@ -14,6 +15,8 @@ import tty
 from typing import Any
 
 from netlab.lab.control import ControlClient
+
+_LAST_OUTPUT_S = 0.1
 
 
 def exec_with_terminal(connection: ControlClient, request: dict[str, Any]) -> int:
@@ -54,13 +57,21 @@ def _pump(connection: ControlClient, terminal: int) -> None:
                     return
                 os.write(sys.stdout.fileno(), data)
             elif connection in ready:
-                return  # the command ended and its last output has been read
+                _drain(terminal)
+                return
             if sys.stdin in ready:
                 data = os.read(sys.stdin.fileno(), 65536)
                 if data:
                     os.write(terminal, data)
                 else:
                     selector.unregister(sys.stdin)
+
+
+def _drain(terminal: int) -> None:
+    """The command has ended; the kernel may still be handing over its last output."""
+    with contextlib.suppress(OSError):  # EIO: the other side is closed and everything has been read
+        while select.select([terminal], [], [], _LAST_OUTPUT_S)[0] and (data := os.read(terminal, 65536)):
+            os.write(sys.stdout.fileno(), data)
 
 
 def _copy_window_size(terminal: int) -> None:

@@ -59,7 +59,7 @@ def _unshare() -> None:
     try:
         syscalls.unshare(flags)
     except OSError as error:
-        if error.errno == errno.ENOSPC:
+        if error.errno == errno.ENOSPC and (uid == 0 or not _user_namespaces_forbidden()):
             raise MachineError(f"the kernel's limit on namespaces is reached ({error}); see /proc/sys/user/") from error
         if uid != 0:
             raise MachineError(explain_userns_denied()) from error
@@ -71,6 +71,13 @@ def _unshare() -> None:
             Path("/proc/self/gid_map").write_text(f"0 {gid} 1")
         except OSError as error:
             raise MachineError(explain_userns_denied()) from error
+
+
+def _user_namespaces_forbidden() -> bool:
+    """A limit of 0 is a prohibition, though the kernel reports it as a limit that was reached."""
+    with contextlib.suppress(OSError):
+        return Path("/proc/sys/user/max_user_namespaces").read_text().strip() == "0"
+    return False
 
 
 def _private_mounts() -> None:

@@ -112,6 +112,8 @@ class ControlServer:
             reply = {"error": str(error)}
         except (ValueError, KeyError, TypeError) as error:
             reply = {"error": f"bad request: {error!r}"}
+        except OSError as error:  # a part of the lab is gone, or the machine is out of something
+            reply = {"error": f"the lab could not do that: {error}"}
         finally:
             for fd in fds:
                 with contextlib.suppress(OSError):

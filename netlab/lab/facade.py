@@ -23,7 +23,7 @@ import yaml
 import netlab
 from netlab.errors import LabError
 from netlab.lab.control import ControlClient
-from netlab.lab.launch import LabProcess, LaunchOptions, launch
+from netlab.lab.launch import LabProcess, LaunchOptions, launch, make_room
 from netlab.lab.results import RunResult, evaluate_run
 from netlab.scenario import load_scenario, parse_scenario
 from netlab.scenario.model import Scenario
@@ -65,8 +65,8 @@ class Lab:
             self.scenario = parse_scenario(dict(scenario), overrides=overrides, seed=seed, engine=engine)
             self._text = yaml.safe_dump(dict(scenario), sort_keys=False)
         else:
-            self._text = Path(scenario).read_text() if Path(scenario).is_file() else ""
             self.scenario = load_scenario(Path(scenario), overrides=overrides, seed=seed, engine=engine)
+            self._text = Path(scenario).read_text()
         self._engine = engine or self.scenario.engine
         self._kept = Path(capture).resolve() if capture is not None else None
         self._scratch: Path | None = None
@@ -81,11 +81,12 @@ class Lab:
         Raises:
             MachineError: This machine cannot run it.
             LabError: A process could not start.
+            CaptureError: The capture's folder cannot be made.
         """
         if self._process is not None:
             raise LabError("this lab has been started already")
         if self._kept is not None:
-            self._kept.parent.mkdir(parents=True, exist_ok=True)
+            make_room(self._kept)
         else:
             self._scratch = Path(tempfile.mkdtemp(prefix="netlab-"))
         keep = (Path(netlab.__file__).parent.parent, Path.cwd(), self.capture.parent)

@@ -14,7 +14,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from netlab.errors import LabError, MachineError
+from netlab.errors import CaptureError, LabError, MachineError
 from netlab.lab import registry
 from netlab.lab.control import ControlClient
 from netlab.scenario.model import Scenario
@@ -73,6 +73,18 @@ class LabProcess:
         registry.running()  # removes the folder of the lab that just ended
 
 
+def make_room(capture: Path) -> None:
+    """Make the folder that a capture goes into.
+
+    Raises:
+        CaptureError: It cannot be made.
+    """
+    try:
+        capture.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CaptureError(f"{capture}: its folder cannot be made: {error.strerror}") from None
+
+
 def launch(scenario: Scenario, options: LaunchOptions) -> LabProcess:
     """Start a lab and return when every interface is up and every process has reported ready.
 
@@ -120,19 +132,20 @@ def _wait_ready(lab: LabProcess, ready_fd: int) -> None:
     data = b""
     while not data.endswith(b"\n"):
         if not select.select([ready_fd], [], [], max(0.0, deadline - time.monotonic()))[0]:
-            raise LabError(f"the lab was not ready within {START_TIMEOUT_S:.0f} s; its log: {_log_tail(lab.folder)}")
+            raise LabError(f"the lab was not ready within {START_TIMEOUT_S:.0f} s; its log: {log_tail(lab.folder)}")
         part = os.read(ready_fd, 65536)
         if not part:
             break
         data += part
     if not data.endswith(b"\n"):
-        raise LabError(f"the lab's supervisor ended before the lab was ready; its log: {_log_tail(lab.folder)}")
+        raise LabError(f"the lab's supervisor ended before the lab was ready; its log: {log_tail(lab.folder)}")
     answer = json.loads(data)
     if "error" in answer:
         raise (MachineError if answer["kind"] == "machine" else LabError)(answer["error"])
 
 
-def _log_tail(folder: registry.LabFolder) -> str:
+def log_tail(folder: registry.LabFolder) -> str:
+    """The last lines of the supervisor's and its helpers' own output, for a person."""
     try:
         lines = (folder.path / "supervisor.log").read_text(errors="replace").splitlines()
     except OSError:

@@ -136,6 +136,7 @@ def parse_words(a: str, b: str, words: Mapping[str, str]) -> LinkChange:
         raise LabError(f"link {a} {b}: {error}") from None
     except ValidationError as error:
         problems = [f"{'.'.join(map(str, p['loc']))}: {_without_prefix(p['msg'])}" for p in error.errors()]
+        problems = [problem.removesuffix(", between, from, to, over") for problem in problems]  # the command's own
         raise LabError("\n".join(f"link {a} {b}: {problem.removeprefix(': ')}" for problem in problems)) from None
 
 

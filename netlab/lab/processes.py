@@ -70,6 +70,7 @@ class Process:
     stopping: bool = False
     command: socket.socket | None = None
     tail: deque[str] = field(default_factory=lambda: deque(maxlen=TAIL_LINES))
+    read_output: Callable[[], None] = lambda: None
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     def describe_failure(self) -> str:
@@ -109,6 +110,7 @@ class Processes:
         self.open_events: FeedOpener = lambda _spec: None
         self.on_line: LineSink = lambda _node, _process, _line: None
         self.on_exit: Callable[[Process], None] = lambda _process: None
+        self.on_lost: Callable[[], None] = lambda: None  # the fork server is gone
         asyncio.get_running_loop().add_reader(channel.fileno(), self._on_channel)
 
     def add_node(self, node: str, net_fd: int, hosts: str, keep: tuple[str, ...]) -> None:
@@ -220,8 +222,9 @@ class Processes:
             return
         try:
             message, _ = self._channel.recv()
-        except EOFError:
+        except (EOFError, OSError):
             asyncio.get_running_loop().remove_reader(self._channel.fileno())
+            self.on_lost()
             return
         self._handle(message)
 
@@ -234,6 +237,7 @@ class Processes:
         process = self._by_pid.pop(message.pid, None)
         if process is None:
             return
+        process.read_output()  # its last words are in the pipe
         process.exit_status = message.status
         self._mark(process, State.EXITED)
         self.on_exit(process)
@@ -272,11 +276,11 @@ class Processes:
         pending = bytearray()
         loop = asyncio.get_running_loop()
 
-        def readable() -> None:
+        def read_some() -> bool:
             try:
                 data = os.read(fd, 65536)
             except BlockingIOError:
-                return
+                return False
             with contextlib.suppress(OSError):  # a full disk must not stop the lab
                 log.write(data)
             pending.extend(data)
@@ -292,8 +296,15 @@ class Processes:
                 loop.remove_reader(fd)
                 os.close(fd)
                 log.close()
+                process.read_output = lambda: None
+            return bool(data)
 
-        loop.add_reader(fd, readable)
+        def read_all() -> None:
+            while read_some():
+                pass
+
+        process.read_output = read_all
+        loop.add_reader(fd, read_some)
 
 
 def kill_group(pid: int, signum: int) -> None:

@@ -48,17 +48,20 @@ def runtime_root() -> Path:
     """The user's folder of labs, created for its owner only.
 
     Raises:
-        LabError: Somebody else owns that path.
+        LabError: Somebody else owns that path, or it cannot be made.
     """
     uid = os.getuid()
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    if uid == 0:
+    if uid == 0 and os.access("/run", os.W_OK):  # the root of a user namespace may not write there
         root = Path("/run/netlab")
     elif runtime and Path(runtime).is_dir() and os.access(runtime, os.W_OK):
         root = Path(runtime) / "netlab"
     else:
         root = Path("/tmp") / f"netlab-{uid}"
-    root.mkdir(mode=0o700, exist_ok=True)
+    try:
+        root.mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise LabError(f"{root} cannot be made: {error.strerror}; running labs are kept there") from None
     status = root.lstat()
     if status.st_uid != uid or status.st_mode & 0o077:
         raise LabError(f"{root} must belong to you alone (mode 700); remove it or set XDG_RUNTIME_DIR")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from netlab.errors import CaptureError
 from netlab.scenario.expect import PriorityInversionsExpectation, RetransmissionsExpectation
 from netlab.scenario.model import Scenario
 from netlab.traces.expectations import ExpectationResult, evaluate
@@ -23,18 +25,26 @@ class RunResult:
         summary: The object that ``netlab run --json`` prints.
         trace: Ask it anything; see ``netlab.traces``.
         expectations: The scenario's expectations, one result per bound.
-        problems: Processes that ended by themselves, a recorder that failed; each with what is known of it.
+        problems: Processes that ended by themselves and the like; each with what is known of it.
+        failures: What broke of the lab itself (its engine, its recorder, the disk). Figures and expectations then
+            cover no more than what was captured, and the run counts as not passed whatever they say.
     """
 
     summary: dict[str, Any]
     trace: Trace
     expectations: tuple[ExpectationResult, ...]
     problems: tuple[str, ...]
+    failures: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether every expectation was met."""
-        return all(result.passed for result in self.expectations)
+        """Whether the lab held and every expectation was met."""
+        return not self.failures and all(result.passed for result in self.expectations)
+
+    @property
+    def exit_code(self) -> int:
+        """Of ``netlab run``: 0 met, 1 not met, 2 the lab broke."""
+        return 2 if self.failures else 0 if self.passed else 1
 
     def stream(self, topic: str, source: str | None = None, destination: str | None = None) -> dict[str, Any]:
         """Figures of the first stream that fits. Raises LookupError when none does."""
@@ -45,17 +55,28 @@ class RunResult:
 
     def report(self) -> str:
         """Figures, expectations and, for those that failed, what happened around the failure; for a person."""
-        parts = [summary_text(self.trace)]
-        if self.problems:
-            parts.append("\n".join(["problems", *(f"  {problem}" for problem in self.problems)]))
-        if self.expectations:
-            parts.append("\n".join(["expectations", *(_line(result) for result in self.expectations)]))
+        parts = [summary_text(self.trace), _section("problems", self.problems)]
+        parts.append(_section("expectations", [_line(result) for result in self.expectations]))
+        parts.append(_section(_BROKEN, self.failures))
         return "\n\n".join(part for part in parts if part)
+
+    def complaints(self) -> str:
+        """The part of the report that is not good news; empty if there is none."""
+        unmet = [_line(result) for result in self.expectations if not result.passed]
+        sections = (_section("problems", self.problems), _section("expectations", unmet))
+        return "\n\n".join(part for part in (*sections, _section(_BROKEN, self.failures)) if part)
+
+
+_BROKEN = "THE LAB BROKE: figures and expectations cover only what was captured"
+
+
+def _section(title: str, lines: Sequence[str]) -> str:
+    return "\n".join([title, *(f"  {line}" for line in lines)]) if lines else ""
 
 
 def _line(result: ExpectationResult) -> str:
     measured = "nothing to measure" if result.measured is None else f"measured {result.measured:.6g}"
-    line = f"  {'met    ' if result.passed else 'NOT MET'}  {result.name}  ({measured}, limit {result.limit:.6g})"
+    line = f"{'met    ' if result.passed else 'NOT MET'}  {result.name}  ({measured}, limit {result.limit:.6g})"
     return f"{line}\n{result.explanation}" if result.explanation else line
 
 
@@ -69,12 +90,19 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
         kept: Whether it stays after the run.
 
     Raises:
-        CaptureError: The capture cannot be read.
+        CaptureError: The capture cannot be read; with what broke before.
     """
-    trace = load_trace(capture)
-    expectations = tuple(evaluate(scenario.expect, trace))
     recorder = final.get("recorder") or {}
-    problems = [*final["problems"], *final["notices"]]
+    failures = [*final["failures"], *filter(None, [recorder.get("failure")]), *recorder.get("write_errors", ())]
+    try:
+        trace = load_trace(capture)
+    except CaptureError as error:
+        raise CaptureError("\n".join([*failures, str(error)])) from None
+    expectations = tuple(evaluate(scenario.expect, trace))
+    if not kept:  # do not send anybody to a file that goes with the lab
+        gone = (f"capture: {capture}", "capture: not kept; name a file for it (--capture FILE) to look into it")
+        expectations = tuple(replace(row, explanation=row.explanation.replace(*gone)) for row in expectations)
+    problems = [text for text in (*final["problems"], *final["notices"]) if text not in failures]
     drops = recorder.get("kernel_drops", {})
     problems += [f"{node}: {count} packets are missing from the capture" for node, count in drops.items() if count]
     shown = {
@@ -91,7 +119,7 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
         ],
         "capture": str(capture) if kept else None,
     }
-    return RunResult(shown, trace, expectations, tuple(dict.fromkeys(problems)))
+    return RunResult(shown, trace, expectations, tuple(dict.fromkeys(problems)), tuple(dict.fromkeys(failures)))
 
 
 def needs_packets(scenario: Scenario) -> bool:

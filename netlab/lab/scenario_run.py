@@ -18,7 +18,7 @@ from netlab.engines.base import LabPlan
 from netlab.errors import LabError
 from netlab.lab.links import Links
 from netlab.lab.processes import Process, Processes, ProcessSpec, State, describe_status
-from netlab.lab.programs import DISCOVERY_LIMIT_S, traffic_sinks, traffic_sources
+from netlab.lab.programs import DISCOVERY_LIMIT_S, SINK, SOURCE, traffic_sinks, traffic_sources
 from netlab.lab.recording import Recording
 from netlab.scenario.model import Scenario
 from netlab.timeline import (
@@ -89,7 +89,10 @@ class ScenarioRun:
         self._started.set()
         for entry in compile_timeline(self._scenario, self._plan):
             await self._sleep_until(entry.at_s)
-            await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, restores=entry.restores)
+            try:
+                await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, restores=entry.restores)
+            except LabError as error:
+                self.problems.append(f"{entry.label}: {error}")
         await self._sleep_until(self._scenario.duration_s)
         self._recording.timeline("end", "the scenario's duration is over", at_s=self._scenario.duration_s)
         self._enter(Phase.DRAINING)
@@ -143,8 +146,9 @@ class ScenarioRun:
     def process_ended(self, process: Process) -> None:
         """A process ended; unless that was asked for, it is a problem that the run reports."""
         status = process.exit_status if process.exit_status is not None else 0
-        text = f"{process.spec.node}: {process.spec.name} {describe_status(status)}"
-        self._recording.timeline("exit", text, at_s=self.t_s)
+        if status != 0 or process.spec.name not in (SOURCE, SINK):  # traffic that came to its end is no news
+            text = f"{process.spec.node}: {process.spec.name} {describe_status(status)}"
+            self._recording.timeline("exit", text, at_s=self.t_s)
         if not process.stopping and status != 0:
             self.problems.append(process.describe_failure())
 
@@ -213,7 +217,6 @@ async def wait_for_state(process: Process, state: State, limit_s: float) -> None
         async with asyncio.timeout(limit_s):
             while process.state is not state:
                 if process.state is State.EXITED:
-                    await asyncio.sleep(0.05)  # its last words are still in the pipe
                     raise LabError(process.describe_failure())
                 await process.changed.wait()
     if process.state is not state:

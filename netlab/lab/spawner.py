@@ -159,7 +159,7 @@ def _become(request: Spawn, node: _Node, fds: list[int], error_write: int) -> No
         error_write = _arrange_descriptors(fds, request.fd_numbers, error_write)
         if request.tty:
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-        os.chdir(request.cwd)
+        _enter_directory(request.cwd)
         program = BUILTIN_PROGRAMS.get(request.argv[0])
         if program is None:
             os.execvpe(request.argv[0], request.argv, dict(request.env))
@@ -168,6 +168,14 @@ def _become(request: Spawn, node: _Node, fds: list[int], error_write: int) -> No
         os.write(error_write, f"{request.argv[0]}: {error.strerror or error}".encode())
         os._exit(127)
     os._exit(_call(program, request))
+
+
+def _enter_directory(path: str) -> None:
+    """A directory below a private one (/tmp, /run) is not there in a node; the command then starts in /."""
+    try:
+        os.chdir(path)
+    except OSError:
+        os.chdir("/")
 
 
 def _arrange_descriptors(fds: list[int], numbers: tuple[int, ...], error_write: int) -> int:

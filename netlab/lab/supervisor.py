@@ -29,7 +29,7 @@ from netlab.kernel import syscalls
 from netlab.lab.box import run_in_box
 from netlab.lab.control import Connection, ControlServer, Reply, Request
 from netlab.lab.isolation import keep_paths
-from netlab.lab.launch import LaunchOptions
+from netlab.lab.launch import LaunchOptions, log_tail
 from netlab.lab.links import Links, parse_words
 from netlab.lab.processes import Processes, State, kill_group
 from netlab.lab.programs import node_processes
@@ -52,10 +52,11 @@ class Supervisor:
         self._options = options
         self._plan = compile_plan(scenario)
         self._ending = asyncio.Event()
-        self._tasks: set[asyncio.Task[None]] = set()
         self._bring_up_s = 0.0
         self._recorder_stats: dict[str, Any] | None = None
         self._notices: list[str] = []
+        self._failures: list[str] = []
+        self._scenario_task: asyncio.Task[None] | None = None
 
     # -- building -------------------------------------------------------------------------------------------------
 
@@ -82,6 +83,7 @@ class Supervisor:
         self._links = Links(self._plan, self._engine)
         self._run = ScenarioRun(self._scenario, self._plan, self._links, self._processes, self._recording)
         self._processes.on_exit = self._run.process_ended
+        self._processes.on_lost = lambda: self._fail("the lab's fork server ended; no process is watched any more")
         text = "127.0.0.1 localhost\n::1 localhost\n" + "".join(f"{a} {n}\n" for a, n in hosts(self._plan))
         keep = keep_paths(sys.prefix, sys.base_prefix, self._folder.path, *self._options.keep_visible)
         for node in self._plan.nodes:
@@ -135,9 +137,16 @@ class Supervisor:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._ending.wait(), 0.5)
             self._notices += self._recording.notices()
-            if (problem := self._engine.problem()) is not None and problem not in self._notices:
-                self._notices.append(problem)
+            if not self._failures and (problem := self._engine.problem()) is not None:
+                self._fail(f"{problem}: {log_tail(self._folder)}")
         self.close()
+
+    def _fail(self, text: str) -> None:
+        """A part of the lab itself broke: the scenario ends here, for what follows would say nothing of the nodes."""
+        if text not in self._failures and not self._ending.is_set():
+            self._failures.append(text)
+            if self._scenario_task is not None:
+                self._scenario_task.cancel()
 
     def close(self) -> None:
         """Stop processes and finish the capture; the rest goes with PID 1."""
@@ -185,6 +194,7 @@ class Supervisor:
             "streams": self._run.streams,
             "problems": self._run.problems,
             "notices": self._notices,
+            "failures": self._failures,
             "capture": str(self._options.capture) if self._options.capture else None,
             "recorder": self._recorder_stats,
         }
@@ -192,9 +202,7 @@ class Supervisor:
     async def _do_run(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
         if self._run.phase is not Phase.READY:
             raise LabError(f"this lab's scenario is {self._run.phase} already; start another lab")
-        task = asyncio.create_task(self._run_scenario())
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        task = self._scenario_task = asyncio.create_task(self._run_scenario())
         begun = asyncio.create_task(self._run.wait_until(0.0))
         await asyncio.wait({task, begun}, return_when=asyncio.FIRST_COMPLETED)
         begun.cancel()
@@ -203,7 +211,14 @@ class Supervisor:
         return {"ok": True, "t0_ns": self._run.t0_ns}
 
     async def _run_scenario(self) -> None:
-        await self._run.run()
+        try:
+            await self._run.run()
+        except asyncio.CancelledError:  # a failure, which stands in the status
+            pass
+        except OSError as error:
+            if self._run.t0_ns is None:
+                raise
+            self._failures.append(f"the scenario could not go on: {error}")
         self._close_recording()
         self._run.finish()
 
@@ -242,6 +257,8 @@ class Supervisor:
         if kind is not SegmentKind.WIRE:
             return await self._do_outage(request | {"active": not request["up"]}, fds, connection)
         up = bool(request["up"])
+        if up:  # whole again, also where one direction was cut
+            self._links.set_outage("person", pairs, active=False)
         self._links.set_carrier("person", {port for pair in pairs for port in pair}, up=up)
         self._record_act("carrier", f"link {a}-{b} {'up' if up else 'down'}", (a, b) if up else None)
         return {"ok": True}
@@ -278,6 +295,7 @@ class Supervisor:
         self._recording.links(self._links.describe())
 
     def _close_recording(self) -> None:
+        self._notices += self._recording.notices()
         stats = self._recording.close()
         if stats is not None:
             self._recorder_stats = asdict(stats)

@@ -71,7 +71,7 @@ def source_main(argv: list[str]) -> int:
         start = json.loads(command.recv(4096) or b"null")
         if start is None:  # the lab ends before it began
             return 0
-        with os.fdopen(options.events_fd, "wb") as events:
+        with os.fdopen(options.events_fd, "wb", buffering=0) as events:
             source = _Source(client, streams, random.Random(f"{options.seed}/{streams[0].source}"))
             source.run(events, command, t0_ns=start["t0_ns"], duration_s=start["duration_s"])
     return 0
@@ -84,7 +84,7 @@ def sink_main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     streams = [StreamSpec(**fields) for fields in json.loads(options.streams)]
     command = socket.socket(fileno=options.command_fd)
-    with Client() as client, os.fdopen(options.events_fd, "wb") as events:
+    with Client() as client, os.fdopen(options.events_fd, "wb", buffering=0) as events:
         for topic in sorted({stream.topic for stream in streams}):
             client.subscribe(topic)
         os.write(options.ready_fd, b"READY=1\n")
@@ -227,8 +227,8 @@ def _is_told(command: socket.socket, client: Client, wait_s: float) -> bool:
 
 
 def _write(events: BinaryIO, record: dict[str, object]) -> None:
-    events.write(json.dumps(record).encode() + b"\n")
-    events.flush()
+    with contextlib.suppress(BrokenPipeError):  # the recorder is gone, which is not the traffic's business
+        events.write(json.dumps(record).encode() + b"\n")
 
 
 def _tell(command: socket.socket, report: list[dict[str, object]]) -> None:
