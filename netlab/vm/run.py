@@ -1,0 +1,152 @@
+"""Runs one command in a throw-away kernel: prepare, boot, forward its output, judge how it ended, leave nothing."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from netlab.vm import fitness, kernels, places, qemu, uml
+from netlab.vm.control import CONSOLE, Answers, Status, write_job
+from netlab.vm.kernels import Emulator, Kernel
+from netlab.vm.request import TIMED_OUT, BoxError, BoxRequest, BoxResult
+
+#: A guest that has not come up by then hangs; measured: 2 to 5 s, in QEMU's emulation 10 to 30 s.
+BOOT_LIMIT_S = {Emulator.UML: 45.0, Emulator.QEMU: 120.0}
+
+#: The command has ended and its exit code is known; a guest that cannot power off is killed after this.
+POWER_OFF_LIMIT_S = 10.0
+
+#: Waiting for the keeper, which only kills and removes.
+_KEEPER_LIMIT_S = 20.0
+_POLL_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Streams:
+    """Where the command's output goes; both are flushed after every write."""
+
+    stdout: BinaryIO
+    stderr: BinaryIO
+
+
+def run_in_box(
+    request: BoxRequest,
+    streams: Streams | None = None,
+    *,
+    kernel: Kernel | None = None,
+    boot_limit_s: float | None = None,
+) -> BoxResult:
+    """Run a command in a throw-away kernel over the host's own root file system.
+
+    The command runs as root of the guest; what it may read and write of the host is what the caller may. All that it
+    writes is lost, except below ``request.output``.
+
+    Args:
+        request: The command and its box.
+        streams: For its output; this process's own by default.
+        kernel: Instead of the one that ``request`` would select.
+        boot_limit_s: Instead of ``BOOT_LIMIT_S``.
+
+    Raises:
+        BoxError: The box cannot start, or broke before the command ended.
+    """
+    fitness.check_outside()
+    output = places.check_output(request.output)
+    chosen = kernel or kernels.select(request.kernel, request.clock)
+    if chosen.emulator is Emulator.UML:
+        fitness.check_uml()
+    memory, notes = places.choose(places.candidates(), request.memory_bytes)
+    folder = places.make_control_folder(memory)
+    try:
+        write_job(folder, request, chosen, output)
+        argv = _command_line(chosen, folder, request, output)
+        limit_s = BOOT_LIMIT_S[chosen.emulator] if boot_limit_s is None else boot_limit_s
+        box = _Box(folder, argv, streams or Streams(sys.stdout.buffer, sys.stderr.buffer))
+        return box.run(request, chosen, limit_s, (*chosen.notes, *notes))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _command_line(kernel: Kernel, folder: Path, request: BoxRequest, output: Path | None) -> list[str]:
+    if kernel.emulator is Emulator.QEMU:
+        return qemu.prepare(kernel, folder, memory_bytes=request.memory_bytes, output=output)
+    return uml.command_line(
+        kernel.path, folder, memory_bytes=request.memory_bytes, clock=request.clock, start_ns=time.time_ns()
+    )
+
+
+class _Box:
+    """A booted box, from the host's side."""
+
+    def __init__(self, folder: Path, argv: list[str], streams: Streams) -> None:
+        self._began_s = time.monotonic()
+        self._answers = Answers(folder, {"stdout": streams.stdout, "stderr": streams.stderr})
+        keeper = [sys.executable, "-m", "netlab.vm.keeper", str(folder), *argv]
+        with (folder / CONSOLE).open("wb") as console:
+            self._keeper = subprocess.Popen(
+                keeper, stdin=subprocess.PIPE, stdout=console, stderr=subprocess.STDOUT, cwd=_package_root()
+            )
+
+    def run(self, request: BoxRequest, kernel: Kernel, boot_limit_s: float, notes: tuple[str, ...]) -> BoxResult:
+        try:
+            boot_s = self._boot(min(boot_limit_s, request.timeout_s), kernel)
+            status = self._serve(request.timeout_s)
+        finally:
+            self._end()
+            self._answers.forward()
+            self._answers.close()
+        code = TIMED_OUT if status is None else status.exit_code
+        guest_s = None if status is None else status.guest_s
+        return BoxResult(code, kernel.label, boot_s, self._elapsed_s, guest_s, notes)
+
+    @property
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self._began_s
+
+    def _boot(self, limit_s: float, kernel: Kernel) -> float:
+        """Wait until the guest's init runs; returns how long that took."""
+        if not self._wait(lambda: self._answers.started, limit_s):
+            ended = self._keeper.poll() is not None
+            how = f"ended at once (exit code {self._keeper.poll()})" if ended else f"did not start within {limit_s:g} s"
+            self._end()
+            raise BoxError(f"the box ({kernel.label}) {how}. {self._answers.console_tail()}")
+        return self._elapsed_s
+
+    def _serve(self, timeout_s: float) -> Status | None:
+        """Forward output until the command ends; None if the time limit ended it."""
+        self._wait(lambda: self._answers.status() is not None, timeout_s)
+        status = self._answers.status()
+        if status is None and self._keeper.poll() is not None:
+            raise BoxError(f"the box broke down before its command ended. {self._answers.console_tail()}")
+        if status is not None:
+            self._wait(lambda: False, self._elapsed_s + POWER_OFF_LIMIT_S)
+        return status
+
+    def _wait(self, condition: Callable[[], bool], until_s: float) -> bool:
+        """Forward output until the condition holds, the box ends or the clock reaches ``until_s``."""
+        while True:
+            met = condition()
+            self._answers.forward()
+            if met or self._keeper.poll() is not None or self._elapsed_s >= until_s:
+                return met or condition()
+            time.sleep(_POLL_S)
+
+    def _end(self) -> None:
+        """Cut the lifeline: the keeper kills what is left and goes."""
+        assert self._keeper.stdin is not None
+        self._keeper.stdin.close()
+        try:
+            self._keeper.wait(_KEEPER_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._keeper.kill()
+            self._keeper.wait()
+
+
+def _package_root() -> Path:
+    return Path(__file__).resolve().parents[2]
