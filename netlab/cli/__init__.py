@@ -18,7 +18,7 @@ from netlab.errors import NetlabError
 COMMANDS = {
     "lab": ("run", "Run a scenario with a live status (interactive lab)."),
     "run": ("run", "Run a scenario, evaluate its expectations."),
-    "up": ("background", "Start a lab in the background."),
+    "up": ("up", "Start a lab in the background."),
     "down": ("background", "Stop a lab."),
     "ls": ("background", "List running labs."),
     "exec": ("background", "Run a command in a node."),

@@ -1,4 +1,7 @@
-"""Labs in the background: `up`, `down`, `ls`, `exec`, `shell`, `link`, `logs`."""
+"""Labs in the background: `down`, `ls`, `exec`, `shell`, `link`, `logs`.
+
+They only talk to a supervisor, and import nothing of scenarios: `netlab exec` must not cost more than it does.
+"""
 
 from __future__ import annotations
 
@@ -11,27 +14,12 @@ from typing import Any
 
 import click
 
-import netlab
 from netlab.cli.terminal import exec_with_terminal
 from netlab.errors import LabError
 from netlab.lab import registry
 from netlab.lab.control import ControlClient
-from netlab.lab.launch import LaunchOptions, launch, make_room
-from netlab.scenario import load_scenario
 
 lab_option = click.option("--lab", "lab_name", metavar="NAME", help="Which lab, where more than one is running.")
-scenario_options = [
-    click.option("--engine", type=click.Choice(["auto", "air", "netem"]), help="Overrides the scenario's engine."),
-    click.option("--seed", type=int, help="Overrides the scenario's seed."),
-    click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Overrides a key; dotted path."),
-]
-
-
-def with_scenario_options(command: Any) -> Any:
-    """Add the options that `up`, `run` and `lab` share."""
-    for option in reversed(scenario_options):
-        command = option(command)
-    return command
 
 
 def _ask(lab_name: str | None, request: dict[str, Any]) -> dict[str, Any]:
@@ -40,26 +28,6 @@ def _ask(lab_name: str | None, request: dict[str, Any]) -> dict[str, Any]:
         return connection.request(request)
     finally:
         connection.close()
-
-
-@click.command()
-@click.argument("file", type=click.Path(path_type=Path))
-@with_scenario_options
-@click.option("--capture", type=click.Path(path_type=Path, dir_okay=False), help="Record to this MCAP file.")
-def up(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, ...], capture: Path | None) -> None:
-    """Start FILE's nodes, links and processes in the background; its traffic and events are left to `netlab run`."""
-    scenario = load_scenario(file, overrides=overrides, seed=seed, engine=engine)
-    if capture is not None:
-        make_room(capture)
-    options = LaunchOptions(
-        engine=engine or str(scenario.engine),
-        scenario_text=file.read_text(),
-        capture=capture.resolve() if capture else None,
-        background=True,
-        keep_visible=(Path(netlab.__file__).parent.parent, Path.cwd()),
-    )
-    lab = launch(scenario, options)
-    click.echo(lab.folder.name)
 
 
 @click.command()

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
-from netlab.cli.background import with_scenario_options
 from netlab.cli.status import Status
+from netlab.cli.up import with_scenario_options
 from netlab.errors import MachineError
 from netlab.lab.facade import Lab
 from netlab.lab.results import RunResult, needs_packets

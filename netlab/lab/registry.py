@@ -16,6 +16,8 @@ from pathlib import Path
 
 from netlab.errors import LabError
 
+_LONGEST_ROOT = 50  # bytes: the name of a lab's control socket must fit into the 107 of a Unix socket's address
+
 
 @dataclass(frozen=True, slots=True)
 class LabFolder:
@@ -45,14 +47,16 @@ class LabFolder:
 
 
 def runtime_root() -> Path:
-    """The user's folder of labs, created for its owner only.
+    """The user's folder of labs, created for its owner only; ``NETLAB_RUNTIME_DIR`` chooses another one.
 
     Raises:
-        LabError: Somebody else owns that path, or it cannot be made.
+        LabError: Somebody else owns that path, it cannot be made or is too long.
     """
     uid = os.getuid()
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    if uid == 0 and os.access("/run", os.W_OK):  # the root of a user namespace may not write there
+    if chosen := os.environ.get("NETLAB_RUNTIME_DIR"):
+        root = Path(chosen).resolve()
+    elif uid == 0 and os.access("/run", os.W_OK):  # the root of a user namespace may not write there
         root = Path("/run/netlab")
     elif runtime and Path(runtime).is_dir() and os.access(runtime, os.W_OK):
         root = Path(runtime) / "netlab"
@@ -64,7 +68,9 @@ def runtime_root() -> Path:
         raise LabError(f"{root} cannot be made: {error.strerror}; running labs are kept there") from None
     status = root.lstat()
     if status.st_uid != uid or status.st_mode & 0o077:
-        raise LabError(f"{root} must belong to you alone (mode 700); remove it or set XDG_RUNTIME_DIR")
+        raise LabError(f"{root} must belong to you alone (mode 700); remove it or set NETLAB_RUNTIME_DIR")
+    if len(os.fsencode(root)) > _LONGEST_ROOT:
+        raise LabError(f"{root} is too long a path for a socket in it; set NETLAB_RUNTIME_DIR to a shorter one")
     return root
 
 

@@ -202,13 +202,14 @@ class ScenarioRun:
 
 
 async def wait_ready(processes: list[Process], limit_s: float) -> None:
-    """Return when all are ready.
+    """Return when all are ready; one that reports no readiness and came to a good end has done its work.
 
     Raises:
         LabError: One ended first, or is not ready in time; with its argv, exit code and last log lines.
     """
     for process in processes:
-        await wait_for_state(process, State.READY, limit_s)
+        if process.spec.waits_for_ready or process.exit_status != 0:
+            await wait_for_state(process, State.READY, limit_s)
 
 
 async def wait_for_state(process: Process, state: State, limit_s: float) -> None:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
-from collections.abc import Callable
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -22,3 +27,92 @@ def need_tool() -> Callable[[str], str]:
         return found
 
     return need
+
+
+class Netlab:
+    """The `netlab` command as a user calls it, with labs of its own: others on this machine are not in sight."""
+
+    def __init__(self, runtime: Path, work: Path) -> None:
+        self.runtime = runtime
+        self.work = work
+        self.env = {**os.environ, "NETLAB_RUNTIME_DIR": str(runtime), "NETLAB_TEST_MARK": runtime.name}
+
+    def __call__(
+        self, *arguments: object, stdin: str = "", cwd: Path | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        """Run it to its end."""
+        return subprocess.run(
+            self.argv(*arguments),
+            input=stdin,
+            cwd=cwd or self.work,
+            env=self.env,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+
+    def start(self, *arguments: object) -> subprocess.Popen[str]:
+        """Start it, its output in pipes."""
+        return subprocess.Popen(
+            self.argv(*arguments),
+            cwd=self.work,
+            env=self.env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    @staticmethod
+    def argv(*arguments: object) -> list[str]:
+        """The command's argument list."""
+        return [sys.executable, "-m", "netlab", *map(str, arguments)]
+
+    def labs(self) -> list[str]:
+        """Folders of labs, dead ones included."""
+        return sorted(entry.name for entry in self.runtime.iterdir())
+
+    def processes(self) -> dict[int, str]:
+        """All processes of these labs and their arguments."""
+        mark, found = f"NETLAB_TEST_MARK={self.runtime.name}".encode(), {}
+        for entry in Path("/proc").iterdir():
+            if entry.name.isdigit():
+                with contextlib.suppress(OSError):
+                    if mark in (entry / "environ").read_bytes().split(b"\0"):
+                        found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        return found
+
+    def process(self, *words: str) -> int:
+        """The only process whose arguments hold all these words."""
+        found = [pid for pid, text in self.processes().items() if all(word in text for word in words)]
+        assert len(found) == 1, (words, found)
+        return found[0]
+
+
+@pytest.fixture(scope="session")
+def new_netlab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], Netlab]]:
+    """A maker of commands; whatever labs they leave running are taken down at the end."""
+    made: list[Netlab] = []
+
+    def new() -> Netlab:
+        runtime = Path(tempfile.mkdtemp(prefix="nl-"))  # short: there are sockets in it
+        made.append(Netlab(runtime, tmp_path_factory.mktemp("work")))
+        return made[-1]
+
+    yield new
+    for command in made:
+        if command.labs():
+            command("down", "--all")
+        shutil.rmtree(command.runtime)
+
+
+@pytest.fixture
+def netlab(new_netlab: Callable[[], Netlab]) -> Iterator[Netlab]:
+    """The command; after the test no lab of it may be left."""
+    command = new_netlab()
+    yield command
+    left = command.labs()
+    if left:
+        command("down", "--all")
+    assert not left
