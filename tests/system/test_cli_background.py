@@ -261,8 +261,7 @@ def test_two_labs_are_told_apart(netlab: Any) -> None:
 
 def test_a_lab_that_is_killed_leaves_no_trace_in_the_list(netlab: Any) -> None:
     netlab("up", PAIR)
-    outer = min(pid for pid, text in netlab.processes().items() if "netlab.lab.supervisor" in text)
-    os.kill(outer, signal.SIGKILL)
+    os.kill(netlab.process("netlab.lab.supervisor"), signal.SIGKILL)
     _until(lambda: not netlab.processes())
     assert netlab("ls").stderr == "no lab is running\n"
     assert netlab.labs() == []
