@@ -36,6 +36,9 @@ OPEN_FILES = 1 << 20
 #: Fresh and empty in every box; a path below one of them that the command needs is bound back in.
 FRESH = ("/tmp", "/run", "/dev/shm")
 
+#: The control folder as the box sees it.
+CONTROL = "/run/netlab-vm"
+
 STAGE = "/tmp"  # exists on every Linux, and is about to be covered anyway
 libc = ctypes.CDLL(None, use_errno=True)
 
@@ -118,8 +121,8 @@ def mount_all(job: Job, root: str) -> None:
     for path, place in kept:
         make(root + path)
         mount(place, root + path, None, MS_MOVE)
-    make(f"{root}/run/netlab/box")
-    share(job, "control", job.folder, f"{root}/run/netlab/box")
+    make(root + CONTROL)
+    share(job, "control", job.folder, root + CONTROL)
     if job.output is not None:
         make(root + job.output)
         share(job, "output", job.output, root + job.output)
@@ -178,7 +181,7 @@ class Out:
     """A file in the control folder, on the host as soon as ``write`` returns."""
 
     def __init__(self, name: str) -> None:
-        self.path = Path("/run/netlab/box", name)
+        self.path = Path(CONTROL, name)
 
     def write(self, data: bytes) -> None:
         with self.path.open("ab") as stream:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from netlab.vm import cache, packages
 from netlab.vm.request import BoxError, Clock, KernelChoice
 
+QEMU = "qemu-system-x86_64"
 DEBIAN_PACKAGE = "user-mode-linux"
 BUILD_HINT = "run `netlab vm build` first (about 10 minutes, once for this machine), or `netlab vm import FILE`"
 
@@ -114,7 +116,7 @@ def debian() -> Kernel:
     if not path.exists():
         raise BoxError(f"{folder}: the package {DEBIAN_PACKAGE} has no usr/bin/linux.uml")
     modules = find_modules(folder / "usr/lib/uml/modules")
-    note = "no kernel is built, so Debian's user-mode-linux runs: real time only, no mac80211_hwsim"
+    note = f"{folder.name} runs: real time only, no mac80211_hwsim"
     return Kernel(Emulator.UML, path, folder.name, modules, (note,))
 
 
@@ -122,8 +124,10 @@ def stock() -> Kernel:
     """Debian's stock kernel, for QEMU.
 
     Raises:
-        BoxError: It cannot be fetched, or has no modules.
+        BoxError: No QEMU, or the kernel cannot be fetched, or has no modules.
     """
+    if shutil.which(QEMU) is None:
+        raise BoxError(f"{QEMU} is not installed: sudo apt-get install qemu-system-x86; or use --kernel uml")
     package = packages.dependency("linux-image-amd64", "linux-image-")
     folder = packages.unpacked(package)
     release = package.removeprefix("linux-image-")

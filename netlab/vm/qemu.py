@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 from pathlib import Path
 
 from netlab.vm import cache, initramfs, modules, packages, uml
-from netlab.vm.kernels import Kernel
+from netlab.vm.kernels import QEMU, Kernel
 from netlab.vm.request import BoxError
-
-PROGRAM = "qemu-system-x86_64"
 
 #: KVM may be there and still hang a stock kernel (nested virtualisation): a probe that has not answered by then fails.
 PROBE_LIMIT_S = 10.0
@@ -26,17 +23,14 @@ def prepare(kernel: Kernel, control: Path, *, memory_bytes: int, output: Path | 
     """Write the initramfs and return QEMU's argument list.
 
     Raises:
-        BoxError: QEMU is not installed, or the kernel lacks the modules for 9p.
+        BoxError: The kernel lacks the modules for 9p.
     """
-    program = shutil.which(PROGRAM)
-    if program is None:
-        raise BoxError(f"{PROGRAM} is not installed: sudo apt-get install qemu-system-x86; or use --kernel uml")
     ramdisk = control / "initrd"
     ramdisk.write_bytes(_ramdisk(kernel, control))
     image = cache.root() / "qemu.json"
-    machine = machine_options(kvm_boots(program, kernel, ramdisk, memory=image))
+    machine = machine_options(kvm_boots(kernel, ramdisk, memory=image))
     shares = {"root": Path("/"), "control": control, **({"output": output} if output else {})}
-    return [program, *base(kernel, ramdisk, memory_bytes), *machine, "-serial", "stdio", *share_options(shares)]
+    return [QEMU, *base(kernel, ramdisk, memory_bytes), *machine, "-serial", "stdio", *share_options(shares)]
 
 
 def base(kernel: Kernel, ramdisk: Path, memory_bytes: int, word: str = "") -> list[str]:
@@ -64,7 +58,7 @@ def share_options(shares: dict[str, Path]) -> list[str]:
     return options
 
 
-def kvm_boots(program: str, kernel: Kernel, ramdisk: Path, *, memory: Path) -> bool:
+def kvm_boots(kernel: Kernel, ramdisk: Path, *, memory: Path) -> bool:
     """Whether this kernel boots under KVM here; tried once per boot of the host, remembered in ``memory``."""
     if not os.access(_KVM, os.R_OK | os.W_OK):
         return False
@@ -75,7 +69,7 @@ def kvm_boots(program: str, kernel: Kernel, ramdisk: Path, *, memory: Path) -> b
             return bool(known["boots"])
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    boots = _probe([program, *base(kernel, ramdisk, 512 << 20, initramfs.PROBE_WORD), *machine_options(True)])
+    boots = _probe([QEMU, *base(kernel, ramdisk, 512 << 20, initramfs.PROBE_WORD), *machine_options(True)])
     memory.write_text(json.dumps({"key": key, "boots": boots}))
     return boots
 
