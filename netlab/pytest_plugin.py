@@ -23,11 +23,13 @@ from typing import Any, Protocol
 
 import pytest
 
+from netlab.errors import NetlabError
 from netlab.lab.builder import ScenarioBuilder
 from netlab.lab.facade import Lab
 
 _FAILED = pytest.StashKey[bool]()
-_CAPTURES = pytest.StashKey[list[Path]]()
+_CAPTURES = pytest.StashKey[list[tuple[Path, Path]]]()  # where each is recorded, where it is kept if the test fails
+_MARKER_KEYS = {"engine", "seed", "overrides", "packets"}
 
 ScenarioSource = str | Path | Mapping[str, Any] | ScenarioBuilder
 
@@ -60,12 +62,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-    """Note a failure for the fixture's end, and name the captures in the report."""
+    """Note a failure for the fixture's end, and name the captures in the report.
+
+    A fixture's error that is meant for a person is shown as its text alone.
+    """
+    error = call.excinfo.value if call.excinfo is not None else None
     report = yield
+    if report.failed and isinstance(error, NetlabError) and report.when == "setup":
+        report.longrepr = str(error)
     if report.failed:
         item.stash[_FAILED] = True
-        for path in item.stash.get(_CAPTURES, []):
-            report.sections.append(("capture", f"kept as {path}; look into it with: netlab inspect {path}"))
+        for capture, path in item.stash.get(_CAPTURES, []):
+            if capture.exists():
+                report.sections.append(("capture", f"kept as {path}; look into it with: netlab inspect {path}"))
     return report
 
 
@@ -73,10 +82,9 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLab, None, None]:
     """Factory of labs; all of them end with the test."""
     labs: list[Lab] = []
-    kept = request.node.stash.setdefault(_CAPTURES, [])
+    captures = request.node.stash.setdefault(_CAPTURES, [])
     directory = Path(str(request.config.getoption("--lab-captures"))).resolve()
     stem = re.sub(r"[^\w.-]+", "_", request.node.nodeid).strip("_")[-150:]
-    pending: list[tuple[Path, Path]] = []
 
     def make(
         scenario: ScenarioSource,
@@ -86,30 +94,38 @@ def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLa
         overrides: list[str] | tuple[str, ...] = (),
         packets: bool = True,
     ) -> Lab:
-        source = scenario.build() if isinstance(scenario, ScenarioBuilder) else scenario
+        __tracebackhide__ = True
         capture = tmp_path / f"capture{len(labs)}.mcap"
-        lab = Lab(source, engine=engine, seed=seed, overrides=overrides, capture=capture, packets=packets)
-        labs.append(lab)
-        destination = directory / f"{stem}{len(labs) if len(labs) > 1 else ''}.mcap"
-        pending.append((capture, destination))
-        kept.append(destination)
-        return lab.start()
+        try:
+            source = scenario.build() if isinstance(scenario, ScenarioBuilder) else scenario
+            lab = Lab(source, engine=engine, seed=seed, overrides=overrides, capture=capture, packets=packets)
+            labs.append(lab)
+            captures.append((capture, directory / f"{stem}{len(labs) if len(labs) > 1 else ''}.mcap"))
+            return lab.start()
+        except NetlabError as error:
+            raise error.with_traceback(None) from None  # the text says it all; the lab's insides would bury it
 
     yield make
     for lab in labs:
         lab.close()
-    if request.node.stash.get(_FAILED, False):
-        directory.mkdir(parents=True, exist_ok=True)
-        for capture, destination in pending:
-            if capture.exists():
-                shutil.move(capture, destination)
+    failed = request.node.stash.get(_FAILED, False)
+    for capture, destination in captures:
+        if failed and capture.exists():
+            directory.mkdir(parents=True, exist_ok=True)
+            shutil.move(capture, destination)
+        capture.unlink(missing_ok=True)
 
 
 @pytest.fixture
 def lab(request: pytest.FixtureRequest, make_lab: MakeLab) -> Lab:
     """The lab of the test's ``scenario`` marker, started and ready."""
     marker = request.node.get_closest_marker("scenario")
-    if marker is None:
-        raise pytest.UsageError("the `lab` fixture needs @pytest.mark.scenario(FILE or mapping); or use `make_lab`")
+    if marker is None or len(marker.args) != 1:
+        pytest.fail("the `lab` fixture needs @pytest.mark.scenario(FILE or mapping); or use `make_lab`", pytrace=False)
+    if unknown := set(marker.kwargs) - _MARKER_KEYS:
+        known = ", ".join(sorted(_MARKER_KEYS))
+        pytest.fail(
+            f"@pytest.mark.scenario does not know {', '.join(sorted(unknown))}; it takes {known}", pytrace=False
+        )
     start: Callable[..., Lab] = make_lab
     return start(*marker.args, **marker.kwargs)
