@@ -28,12 +28,18 @@ KINDS = ("net", "mnt", "pid", "ipc", "uts", "user")
 
 
 class Leftovers:
-    """Processes of one lab (by a session-unique mark in their environment) and the namespaces they hold."""
+    """Processes of one lab (by a mark in their environment) and who holds its namespaces.
+
+    A namespace's number is given to the next one as soon as it is free, so a number alone tells nothing while other labs
+    come and go: only those processes count that held a namespace of the lab while it lived.
+    """
 
     def __init__(self, mark: str) -> None:
         self._mark = f"NETLAB_TEST_MARK={mark}".encode()
         self._own = {str(Path(f"/proc/self/ns/{kind}").readlink()) for kind in KINDS}
-        self.namespaces = self._held_by(self.processes())
+        self.namespaces = {name for pid in self.processes() for name in self._held_by(pid)}
+        everybody = [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()]
+        self._holders = {(pid, _started(pid)) for pid in everybody if self._held_by(pid) & self.namespaces}
 
     def processes(self) -> list[int]:
         found = []
@@ -47,23 +53,28 @@ class Leftovers:
         return found
 
     def alive_namespaces(self) -> set[str]:
-        """Of those first seen, the namespaces that some process anywhere still is in or holds open."""
-        held = self._held_by([int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()])
-        return held & self.namespaces
+        """Namespaces of the lab that one of their former holders still is in or holds open."""
+        alive = [pid for pid, started in self._holders if _started(pid) == started and not _is_zombie(pid)]
+        return {name for pid in alive for name in self._held_by(pid)} & self.namespaces
 
-    def _held_by(self, pids: list[int]) -> set[str]:
+    def _held_by(self, pid: int) -> set[str]:
         found = set()
-        for pid in pids:
-            if _is_zombie(pid):  # has let go of everything; its parent has not asked for its exit code yet
+        for link in (*Path(f"/proc/{pid}/ns").glob("*"), *_descriptors(pid)):
+            try:
+                target = str(link.readlink())
+            except OSError:
                 continue
-            for link in (*Path(f"/proc/{pid}/ns").glob("*"), *_descriptors(pid)):
-                try:
-                    target = str(link.readlink())
-                except OSError:
-                    continue
-                if target.partition(":")[0] in KINDS:
-                    found.add(target)
+            if target.partition(":")[0] in KINDS:
+                found.add(target)
         return found - self._own
+
+
+def _started(pid: int) -> str:
+    """When a process started, in clock ticks since boot; tells it from a later one of the same number."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
+    except OSError:
+        return ""
 
 
 def _is_zombie(pid: int) -> bool:
