@@ -56,8 +56,8 @@ class Job:
         self.visible: list[str] = raw["visible"]
         self.shares: str = raw["shares"]  # "hostfs" or "9p"
         self.modules: str | None = raw["modules"]
-        self.load_first: list[str] = raw["load_first"]
-        self.load: list[str] = raw["load"]
+        self.load_first: list[list[str]] = raw["load_first"]
+        self.load: list[list[str]] = raw["load"]
         self.soft_files: int = raw["soft_files"]
 
 
@@ -81,11 +81,11 @@ def share(job: Job, tag: str, path: str, target: str) -> None:
         mount(tag, target, "9p", 0, "trans=virtio,version=9p2000.L,cache=none,msize=512000")
 
 
-def load_modules(paths: list[str]) -> None:
+def load_modules(modules: list[list[str]]) -> None:
     """Insert modules, in this order; one that the kernel has already or cannot take is passed over and told."""
-    for path in paths:
+    for path, options in modules:
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        if libc.syscall(SYS_FINIT_MODULE, fd, b"", 0) < 0 and ctypes.get_errno() != errno.EEXIST:
+        if libc.syscall(SYS_FINIT_MODULE, fd, options.encode(), 0) < 0 and ctypes.get_errno() != errno.EEXIST:
             print(f"module {path}: {os.strerror(ctypes.get_errno())}")
         os.close(fd)
 

@@ -7,7 +7,7 @@
   with its PID namespace or, where there is none, because they are traced with PTRACE_O_EXITKILL (the built kernel).
 * The caller removes the control folder; the keeper does if the caller is gone.
 
-Run as ``python -m netlab.vm.keeper FOLDER ARGV...``; the box's console goes to the keeper's stdout.
+Run as ``python -m netlab.vm.keeper FOLDER namespace|plain ARGV...``; the box's console goes to the keeper's stdout.
 """
 
 from __future__ import annotations
@@ -25,13 +25,25 @@ from typing import NoReturn
 
 from netlab.kernel import syscalls
 
+NAMESPACE, PLAIN = "namespace", "plain"
+
 #: As the shell has it, for a kernel that is no executable.
 CANNOT_EXECUTE = 126
 
 
-def own_pid_namespace() -> bool:
-    """Put children to come into a PID namespace that dies with the first of them; False where the host forbids it."""
+def own_pid_namespace(*, as_user: bool) -> bool:
+    """Put children to come into a PID namespace that dies with the first of them.
+
+    Args:
+        as_user: Whether an ordinary user gets one too. It takes a user namespace, in which all files of others seem to
+            belong to nobody; so only a kernel whose processes would outlive it is worth that.
+
+    Returns:
+        False where the host forbids it.
+    """
     uid, gid = os.geteuid(), os.getegid()
+    if uid != 0 and not as_user:
+        return False
     flags = syscalls.CLONE_NEWPID if uid == 0 else syscalls.CLONE_NEWPID | syscalls.CLONE_NEWUSER
     try:
         syscalls.unshare(flags)
@@ -106,10 +118,10 @@ def _before_exec() -> None:
     syscalls.set_pdeathsig(signal.SIGKILL)
 
 
-def keep(folder: Path, argv: list[str]) -> int:
+def keep(folder: Path, argv: list[str], *, namespace: bool) -> int:
     """Run the box until it ends or the lifeline does; returns its exit code."""
     syscalls.set_child_subreaper()
-    own_pid_namespace()
+    own_pid_namespace(as_user=namespace)
     pid = os.fork()
     if pid == 0:
         nurse(folder, argv)
@@ -132,7 +144,7 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
     folder = Path(sys.argv[1])
     try:
-        sys.exit(keep(folder, sys.argv[2:]))
+        sys.exit(keep(folder, sys.argv[3:], namespace=sys.argv[2] == NAMESPACE))
     finally:
         if os.getppid() != caller:
             shutil.rmtree(folder, ignore_errors=True)

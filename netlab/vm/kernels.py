@@ -61,6 +61,7 @@ class Kernel:
         path: User-Mode Linux's executable, or QEMU's kernel image.
         label: For people.
         modules: Folder of its modules; None if all is built in.
+        guests_die: Whether its guest processes die with it; else a PID namespace has to see to that.
         notes: What the person should know about the choice.
     """
 
@@ -68,6 +69,7 @@ class Kernel:
     path: Path
     label: str
     modules: Path | None = None
+    guests_die: bool = True
     notes: tuple[str, ...] = ()
 
 
@@ -117,7 +119,7 @@ def debian() -> Kernel:
         raise BoxError(f"{folder}: the package {DEBIAN_PACKAGE} has no usr/bin/linux.uml")
     modules = find_modules(folder / "usr/lib/uml/modules")
     note = f"{folder.name} runs: real time only, no mac80211_hwsim"
-    return Kernel(Emulator.UML, path, folder.name, modules, (note,))
+    return Kernel(Emulator.UML, path, folder.name, modules, guests_die=False, notes=(note,))
 
 
 def stock() -> Kernel:

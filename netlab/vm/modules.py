@@ -5,12 +5,18 @@ from __future__ import annotations
 import lzma
 from pathlib import Path
 
+#: A box begins with no interface but the loopback; who wants one makes it.
+OPTIONS = {"dummy": "numdummies=0", "ifb": "numifbs=0", "mac80211_hwsim": "radios=0"}
+
+#: The same for the tunnels that would appear in every new network namespace.
+BOOT_OPTIONS = ("fb_tunnels=none",)
+
 _DEPENDS = b"\0depends="
 _SUFFIXES = (".ko", ".ko.xz")
 
 
-def load_order(tree: Path | None, names: list[str]) -> list[str]:
-    """Paths of these modules and of all that they depend on, each after what it needs.
+def load_order(tree: Path | None, names: list[str]) -> list[tuple[str, str]]:
+    """These modules and all that they depend on, each after what it needs: path and options.
 
     Args:
         tree: ``/lib/modules/<release>`` or its like; None for a kernel that has everything built in.
@@ -22,7 +28,12 @@ def load_order(tree: Path | None, names: list[str]) -> list[str]:
     order: dict[str, None] = {}
     for name in names:
         _add(name, index, order)
-    return list(order)
+    return [(path, OPTIONS.get(_plain(Path(path).name.split(".ko")[0]), "")) for path in order]
+
+
+def boot_options() -> list[str]:
+    """The same options for a kernel that has the modules built in, as words of its command line."""
+    return [*(f"{name}.{option}" for name, option in OPTIONS.items()), *BOOT_OPTIONS]
 
 
 def module_files(tree: Path) -> dict[str, Path]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
+import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +15,9 @@ from netlab.vm.request import BoxError
 
 #: Room beside the guest's memory for its output and the kernel's own temporary files.
 SPARE_BYTES = 16 << 20
+
+PREFIX = "netlab-vm-"
+YOUNG_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +86,39 @@ def choose(found: list[Candidate], memory_bytes: int) -> tuple[Path, tuple[str, 
 
 def make_control_folder(memory: Path) -> Path:
     """A new private folder beside the memory file, in memory where that is."""
-    return Path(tempfile.mkdtemp(prefix="netlab-vm-", dir=memory))
+    return Path(tempfile.mkdtemp(prefix=PREFIX, dir=memory))
+
+
+def hold(folder: Path) -> int:
+    """Mark a control folder as in use; the mark goes with the last process that has the descriptor."""
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    fcntl.flock(fd, fcntl.LOCK_EX)
+    return fd
+
+
+def sweep(memory: Path, *, now_s: float) -> None:
+    """Remove this user's control folders that nobody holds any more: caller and keeper were both killed.
+
+    Args:
+        memory: Where to look.
+        now_s: Wall-clock time; a folder younger than ``YOUNG_S`` may not be held yet.
+    """
+    for folder in memory.glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError):
+            stat = folder.stat(follow_symlinks=False)
+            if stat.st_uid == os.geteuid() and now_s - stat.st_mtime > YOUNG_S and not _held(folder):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _held(folder: Path) -> bool:
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(fd)
+    return False
 
 
 def check_output(output: Path | None) -> Path | None:

@@ -37,7 +37,7 @@ def base(kernel: Kernel, ramdisk: Path, memory_bytes: int, word: str = "") -> li
     """What every start has in common; ``word`` is added to the kernel's command line."""
     options = ["-nodefaults", "-no-user-config", "-no-reboot", "-display", "none", "-smp", "2", "-m"]
     files = ["-kernel", str(kernel.path), "-initrd", str(ramdisk)]
-    return [*options, f"{memory_bytes >> 20}M", *files, "-append", f"{_APPEND} {word}".rstrip()]
+    return [*options, f"{memory_bytes >> 20}M", *files, "-append", " ".join([_APPEND, *modules.BOOT_OPTIONS, word])]
 
 
 def machine_options(kvm: bool) -> list[str]:
@@ -91,7 +91,7 @@ def _probe(argv: list[str]) -> bool:
 
 
 def _ramdisk(kernel: Kernel, control: Path) -> bytes:
-    early = [Path(path) for path in modules.load_order(kernel.modules, initramfs.EARLY_MODULES)]
+    early = [Path(path) for path, _options in modules.load_order(kernel.modules, initramfs.EARLY_MODULES)]
     if not any(path.name.startswith("9p.") for path in early):
         raise BoxError(
             f"{kernel.label}: no 9p module below {kernel.modules}; the cloud kernels lack it, use the plain one"

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from netlab.vm import fitness, kernels, places, qemu, uml
 from netlab.vm.control import CONSOLE, Answers, Status, write_job
+from netlab.vm.keeper import NAMESPACE, PLAIN
 from netlab.vm.kernels import Emulator, Kernel
 from netlab.vm.request import TIMED_OUT, BoxError, BoxRequest, BoxResult
 
@@ -62,15 +65,25 @@ def run_in_box(
     if chosen.emulator is Emulator.UML:
         fitness.check_uml()
     memory, notes = places.choose(places.candidates(), request.memory_bytes)
-    folder = places.make_control_folder(memory)
-    try:
+    places.sweep(memory, now_s=time.time())
+    with _control_folder(memory) as (folder, held):
         write_job(folder, request, chosen, output)
-        argv = _command_line(chosen, folder, request, output)
+        argv = [PLAIN if chosen.guests_die else NAMESPACE, *_command_line(chosen, folder, request, output)]
         limit_s = BOOT_LIMIT_S[chosen.emulator] if boot_limit_s is None else boot_limit_s
-        box = _Box(folder, argv, streams or Streams(sys.stdout.buffer, sys.stderr.buffer))
+        box = _Box(folder, argv, streams or Streams(sys.stdout.buffer, sys.stderr.buffer), held)
         return box.run(request, chosen, limit_s, (*chosen.notes, *notes))
+
+
+@contextlib.contextmanager
+def _control_folder(memory: Path) -> Iterator[tuple[Path, int]]:
+    """A new control folder and the descriptor that marks it as in use."""
+    folder = places.make_control_folder(memory)
+    held = places.hold(folder)
+    try:
+        yield folder, held
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+        os.close(held)
 
 
 def _command_line(kernel: Kernel, folder: Path, request: BoxRequest, output: Path | None) -> list[str]:
@@ -84,13 +97,18 @@ def _command_line(kernel: Kernel, folder: Path, request: BoxRequest, output: Pat
 class _Box:
     """A booted box, from the host's side."""
 
-    def __init__(self, folder: Path, argv: list[str], streams: Streams) -> None:
+    def __init__(self, folder: Path, argv: list[str], streams: Streams, held: int) -> None:
         self._began_s = time.monotonic()
         self._answers = Answers(folder, {"stdout": streams.stdout, "stderr": streams.stderr})
         keeper = [sys.executable, "-m", "netlab.vm.keeper", str(folder), *argv]
         with (folder / CONSOLE).open("wb") as console:
             self._keeper = subprocess.Popen(
-                keeper, stdin=subprocess.PIPE, stdout=console, stderr=subprocess.STDOUT, cwd=_package_root()
+                keeper,
+                stdin=subprocess.PIPE,
+                stdout=console,
+                stderr=subprocess.STDOUT,
+                cwd=_package_root(),
+                pass_fds=(held,),
             )
 
     def run(self, request: BoxRequest, kernel: Kernel, boot_limit_s: float, notes: tuple[str, ...]) -> BoxResult:
@@ -123,7 +141,10 @@ class _Box:
         self._wait(lambda: self._answers.status() is not None, timeout_s)
         status = self._answers.status()
         if status is None and self._keeper.poll() is not None:
-            raise BoxError(f"the box broke down before its command ended. {self._answers.console_tail()}")
+            code = self._keeper.returncode
+            raise BoxError(
+                f"the box broke down before its command ended (exit code {code}). {self._answers.console_tail()}"
+            )
         if status is not None:
             self._wait(lambda: False, self._elapsed_s + POWER_OFF_LIMIT_S)
         return status

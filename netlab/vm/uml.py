@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from netlab.vm import modules
 from netlab.vm.request import Clock
 
 
@@ -36,6 +37,7 @@ def command_line(
         "devtmpfs.mount=0",  # else it would hide a control folder below /dev/shm
         "quiet",
         "panic=-1",
+        *modules.boot_options(),
         *travel,
         "--",
         *init_arguments(control),
