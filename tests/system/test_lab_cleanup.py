@@ -30,8 +30,8 @@ KINDS = ("net", "mnt", "pid", "ipc", "uts", "user")
 class Leftovers:
     """Processes of one lab (by a mark in their environment) and who holds its namespaces.
 
-    A namespace's number is given to the next one as soon as it is free, so a number alone tells nothing while other labs
-    come and go: only those processes count that held a namespace of the lab while it lived.
+    A namespace's number is given to the next one as soon as it is free, so a number alone tells nothing while other
+    labs come and go: only those processes count that held a namespace of the lab while it lived.
     """
 
     def __init__(self, mark: str) -> None:
