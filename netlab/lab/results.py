@@ -11,6 +11,7 @@ from netlab.errors import CaptureError
 from netlab.scenario.expect import PriorityInversionsExpectation, RetransmissionsExpectation
 from netlab.scenario.model import Scenario
 from netlab.traces.expectations import ExpectationResult, evaluate
+from netlab.traces.explain import milliseconds, rate
 from netlab.traces.load import load_trace
 from netlab.traces.model import Trace
 from netlab.traces.summary import summary
@@ -74,9 +75,19 @@ def _section(title: str, lines: Sequence[str]) -> str:
     return "\n".join([title, *(f"  {line}" for line in lines)]) if lines else ""
 
 
+def _measured(result: ExpectationResult) -> str:
+    """In the unit of the limit, which stands at the end of the name."""
+    if result.measured is None:
+        return "nothing to measure"
+    if result.name.endswith((" ms", " s")):
+        return f"measured {milliseconds(result.measured)}"
+    if result.name.endswith("bit/s"):
+        return f"measured {rate(result.measured)}"
+    return f"measured {result.measured:.4g}"
+
+
 def _line(result: ExpectationResult) -> str:
-    measured = "nothing to measure" if result.measured is None else f"measured {result.measured:.6g}"
-    line = f"{'met    ' if result.passed else 'NOT MET'}  {result.name}  ({measured}, limit {result.limit:.6g})"
+    line = f"{'met    ' if result.passed else 'NOT MET'}  {result.name}  ({_measured(result)})"
     return f"{line}\n{result.explanation}" if result.explanation else line
 
 

@@ -77,11 +77,10 @@ def test_a_capture_that_cannot_be_created_is_named(netlab: Any) -> None:
 def test_netem_on_a_kernel_without_it_says_what_to_do(netlab: Any) -> None:
     if in_child(lambda: tc_features().netem_problem) is None:
         pytest.skip("this kernel has sch_netem; the message is for those that lack it")
-    for command in ("run", "up"):
-        done = netlab(command, PAIR, "--engine", "netem")
-        assert done.returncode == 2
-        assert "no sch_netem" in done.stderr
-        assert "--engine air" in done.stderr
+    done = netlab("run", PAIR, "--engine", "netem")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "no sch_netem" in done.stderr
+    assert "--engine air" in done.stderr
 
 
 def _line_with(stream: Any, word: str) -> str:
@@ -91,19 +90,16 @@ def _line_with(stream: Any, word: str) -> str:
     pytest.fail(f"the output ended without {word!r}")
 
 
-@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_takes_its_lab_down(netlab: Any, signum: int) -> None:
+def test_an_interrupted_run_takes_its_lab_down(netlab: Any) -> None:
     run = netlab.start("run", PAIR, "--set", "duration=60s")
     _line_with(run.stderr, "running")
     assert len(netlab.labs()) == 1
-    run.send_signal(signum)
+    run.send_signal(signal.SIGINT)
     _out, err = run.communicate(timeout=10)
-    if signum == signal.SIGINT:
-        assert (run.returncode, err) == (130, "interrupted; the lab has been taken down\n")
+    assert (run.returncode, err) == (130, "interrupted; the lab has been taken down\n")
     deadline = time.monotonic() + 1.0
     while netlab.processes():
         assert time.monotonic() < deadline, netlab.processes()
-    netlab("ls")  # whoever looks next removes the folder of a lab that was killed
     assert netlab.labs() == []
 
 
