@@ -72,12 +72,12 @@ class RingSize:
         return self.block_bytes * self.blocks
 
 
-def ring_size(nodes: int, *, budget_bytes: int = 128 << 20) -> RingSize:
-    """Share ``budget_bytes`` among the rings of ``nodes`` nodes: 1..32 MiB each.
+def ring_size(nodes: int, *, budget_bytes: int = 256 << 20) -> RingSize:
+    """Share ``budget_bytes`` among the rings of ``nodes`` nodes: 1..64 MiB each.
 
     Blocks are handed over every 20 ms in a small lab and every 200 ms in a large one, since each costs a wake-up.
     """
-    share = min(max(budget_bytes // max(nodes, 1), 1 << 20), 32 << 20)
+    share = min(max(budget_bytes // max(nodes, 1), 1 << 20), 64 << 20)
     block = 256 << 10 if share <= 8 << 20 else 1 << 20
     return RingSize(block, share // block, min(max(2 * nodes, 20), 200))
 
