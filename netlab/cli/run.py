@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -73,6 +74,8 @@ def lab(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, 
 
 def _run(lab: Lab) -> RunResult:
     status = Status(lab.scenario, sys.stderr)
+    for signum in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: the lab and its temporary capture go in good order
+        signal.signal(signum, signal.default_int_handler)
     try:
         with lab, status:
             status.ready(lab.name, lab.status())

@@ -97,7 +97,11 @@ class Lab:
             packets=self._packets,
             keep_visible=keep,
         )
-        self._process = launch(self.scenario, options)
+        try:
+            self._process = launch(self.scenario, options)
+        except BaseException:
+            self.close()  # a temporary capture must not stay
+            raise
         return self
 
     def close(self) -> None:

@@ -36,6 +36,7 @@ class Netlab:
         self.runtime = runtime
         self.work = work
         self.env = {**os.environ, "NETLAB_RUNTIME_DIR": str(runtime), "NETLAB_TEST_MARK": runtime.name}
+        self.env["TMPDIR"] = str(work)
 
     def __call__(
         self, *arguments: object, stdin: str = "", cwd: Path | None = None
@@ -116,3 +117,4 @@ def netlab(new_netlab: Callable[[], Netlab]) -> Iterator[Netlab]:
     if left:
         command("down", "--all")
     assert not left
+    assert not list(command.work.glob("netlab-*"))  # temporary captures

@@ -90,11 +90,12 @@ def _line_with(stream: Any, word: str) -> str:
     pytest.fail(f"the output ended without {word!r}")
 
 
-def test_an_interrupted_run_takes_its_lab_down(netlab: Any) -> None:
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_takes_its_lab_down(netlab: Any, signum: int) -> None:
     run = netlab.start("run", PAIR, "--set", "duration=60s")
     _line_with(run.stderr, "running")
     assert len(netlab.labs()) == 1
-    run.send_signal(signal.SIGINT)
+    run.send_signal(signum)
     _out, err = run.communicate(timeout=10)
     assert (run.returncode, err) == (130, "interrupted; the lab has been taken down\n")
     deadline = time.monotonic() + 1.0
