@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-import shutil
+import json
 import tarfile
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from netlab.vm.run import Streams, run_in_box
 _MEMBERS = (METADATA, CONFIG, KERNEL)
 _MAX_MEMBER_BYTES = 256 << 20
 _TRIAL_LIMIT_S = 60.0
+_TRIAL_MEMORY_BYTES = 256 << 20
 
 
 def export_kernel(target: Path) -> BuiltKernel:
@@ -44,7 +45,7 @@ def import_kernel(source: Path) -> BuiltKernel:
     """
     members = _read(source)
     store = cache.root() / "uml"
-    with cache.locked("import"), cache.entering(store / ".imported") as folder:
+    with cache.locked("import"), cache.entering(store / _key(members[METADATA], source)) as folder:
         for name, data in members.items():
             (folder / name).write_bytes(data)
         (folder / KERNEL).chmod(0o755)
@@ -52,13 +53,17 @@ def import_kernel(source: Path) -> BuiltKernel:
         _check(kernel, source)
         assert kernel is not None
         _try(kernel, source)
-    target = store / kernel.key
-    with cache.entering(target) as folder:
-        shutil.copytree(store / ".imported", folder, dirs_exist_ok=True)
-    shutil.rmtree(store / ".imported", ignore_errors=True)
-    entered = cache.read_kernel(target)
+    entered = cache.read_kernel(store / kernel.key)
     assert entered is not None
     return entered
+
+
+def _key(metadata: bytes, source: Path) -> str:
+    """The key that this checkout gives to that source; never a name out of the file."""
+    try:
+        return recipe.key(str(json.loads(metadata)["source_version"]), cache.fragment())
+    except (ValueError, KeyError, TypeError) as error:
+        raise BoxError(f"{source}: its {METADATA} cannot be read") from error
 
 
 def _anonymous(member: tarfile.TarInfo) -> tarfile.TarInfo:
@@ -103,7 +108,12 @@ def _check(kernel: BuiltKernel | None, source: Path) -> None:
 def _try(kernel: BuiltKernel, source: Path) -> None:
     """Boot it in virtual time and let it say a word."""
     request = BoxRequest(
-        ("echo", kernel.key), Path("/"), clean_environment({}), clock=Clock.VIRTUAL, timeout_s=_TRIAL_LIMIT_S
+        argv=("echo", kernel.key),
+        cwd=Path("/"),
+        env=clean_environment({}),
+        clock=Clock.VIRTUAL,
+        memory_bytes=_TRIAL_MEMORY_BYTES,
+        timeout_s=_TRIAL_LIMIT_S,
     )
     out, err = io.BytesIO(), io.BytesIO()
     try:
