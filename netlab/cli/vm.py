@@ -11,7 +11,7 @@ import click
 from netlab.vm import cache, recipe
 from netlab.vm.build import build as build_kernel
 from netlab.vm.build import missing_tools
-from netlab.vm.fitness import INSIDE, ptrace_problem
+from netlab.vm.fitness import ptrace_problem
 from netlab.vm.request import BoxError, BoxRequest, Clock, KernelChoice, clean_environment, parse_memory
 from netlab.vm.run import run_in_box
 from netlab.vm.transfer import export_kernel, import_kernel
@@ -70,7 +70,7 @@ def vm(
     request = BoxRequest(
         argv=tuple(command),
         cwd=Path.cwd(),
-        env=clean_environment(dict(os.environ), extra={**_extra(extra), INSIDE: "1", f"{INSIDE}_CLOCK": clock}),
+        env=clean_environment(dict(os.environ), extra=_extra(extra)),
         output=None if output is None else output.absolute(),
         kernel=KernelChoice(kernel),
         clock=Clock(clock),

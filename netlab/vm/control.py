@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from netlab.vm import guest, modules
+from netlab.vm.fitness import INSIDE
 from netlab.vm.kernels import LAB_MODULES, Emulator, Kernel
 from netlab.vm.places import visible_paths
 from netlab.vm.request import BoxRequest
@@ -42,7 +43,7 @@ def write_job(folder: Path, request: BoxRequest, kernel: Kernel, output: Path | 
         needed.append(request.cwd / request.argv[0])
     job = {
         "argv": list(request.argv),
-        "env": request.env,
+        "env": {**request.env, INSIDE: "1", f"{INSIDE}_CLOCK": request.clock.value},
         "cwd": str(request.cwd),
         "output": None if output is None else str(output),
         "visible": visible_paths(needed),

@@ -11,7 +11,8 @@ from netlab.vm.request import BoxError
 
 _PTRACE_TRACEME = 0
 _YAMA = Path("/proc/sys/kernel/yama/ptrace_scope")
-INSIDE = "NETLAB_VM"  # set in every box
+#: Set to 1 in the environment of every command in a box; with ``_CLOCK`` behind it: ``real`` or ``virtual``.
+INSIDE = "NETLAB_VM"
 
 
 def ptrace_problem() -> int:

@@ -54,7 +54,7 @@ class BoxRequest:
     Attributes:
         argv: The command; found on the PATH in ``env`` unless it holds a slash.
         cwd: Absolute; the same path inside.
-        env: The whole environment of the command, see :func:`clean_environment`.
+        env: The environment of the command, see :func:`clean_environment`; the box adds NETLAB_VM and NETLAB_VM_CLOCK.
         output: Absolute folder that is writable through to the host, at the same path inside; None for none.
         kernel: Which kernel.
         clock: Which clock.

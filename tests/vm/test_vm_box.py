@@ -45,6 +45,7 @@ def test_the_job_says_all_that_the_guest_needs(tmp_path: Path) -> None:
     job = json.loads((tmp_path / "job.json").read_text())
     assert job["argv"] == ["./prog", "a b"]
     assert (job["cwd"], job["output"], job["shares"]) == (str(tmp_path), str(out), "hostfs")
+    assert (job["env"]["NETLAB_VM"], job["env"]["NETLAB_VM_CLOCK"]) == ("1", "virtual")
     assert job["modules"] is None
     assert job["load"] == []
 
