@@ -45,25 +45,19 @@ class Links:
 
     def set_outage(self, holder: str, pairs: set[Pair], *, active: bool) -> None:
         """Take pairs down silently on behalf of ``holder``, or let go of them."""
-        before = _held(self._out)
-        held = self._out.setdefault(holder, set())
-        held.update(pairs) if active else held.difference_update(pairs)
-        after = _held(self._out)
-        if after - before:
-            self._engine.set_outage(after - before, active=True)
-        if before - after:
-            self._engine.set_outage(before - after, active=False)
+        taken, released = _hold(self._out, holder, pairs, hold=active)
+        if taken:
+            self._engine.set_outage(taken, active=True)
+        if released:
+            self._engine.set_outage(released, active=False)
 
     def set_carrier(self, holder: str, ports: set[int], *, up: bool) -> None:
         """Pull or plug cables on behalf of ``holder``."""
-        before = _held(self._unplugged)
-        held = self._unplugged.setdefault(holder, set())
-        held.difference_update(ports) if up else held.update(ports)
-        after = _held(self._unplugged)
-        if after - before:
-            self._engine.set_carrier(after - before, up=False)
-        if before - after:
-            self._engine.set_carrier(before - after, up=True)
+        taken, released = _hold(self._unplugged, holder, ports, hold=not up)
+        if taken:
+            self._engine.set_carrier(taken, up=False)
+        if released:
+            self._engine.set_carrier(released, up=True)
 
     def between(self, a: str, b: str, *, one_way: bool = False) -> tuple[set[Pair], SegmentKind]:
         """The pairs that join two nodes: their wire's if there is one, else their radios'.
@@ -113,6 +107,18 @@ class Links:
 
     def _names(self, pair: Pair) -> tuple[str, str]:
         return self._plan.ports[pair[0]].node, self._plan.ports[pair[1]].node
+
+
+def _hold(holders: dict[str, set[_T]], holder: str, items: set[_T], *, hold: bool) -> tuple[set[_T], set[_T]]:
+    """Hold items or let go of them; returns what nobody held before and what nobody holds any more."""
+    before = _held(holders)
+    own = holders.setdefault(holder, set())
+    if hold:
+        own.update(items)
+    else:
+        own.difference_update(items)
+    after = _held(holders)
+    return after - before, before - after
 
 
 def _held(holders: dict[str, set[_T]]) -> set[_T]:

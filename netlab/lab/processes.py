@@ -1,7 +1,6 @@
-"""The processes that run in the nodes, as the supervisor sees them: start, readiness, output, exit, restart.
+"""The processes that run in the nodes, as the supervisor sees them: start, readiness, exit, restart.
 
-Output goes line by line to a log file of its own and, while recording, into the capture. All methods run on the
-supervisor's event loop; the fork server answers in microseconds, so talking to it blocks.
+All methods run on the supervisor's event loop; the fork server answers in microseconds, so talking to it blocks.
 """
 
 from __future__ import annotations
@@ -12,87 +11,15 @@ import itertools
 import os
 import select
 import signal
-import socket
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 
 from netlab.errors import LabError
 from netlab.ipc import Channel
+from netlab.lab.descriptors import ChildDescriptors, FeedOpener
+from netlab.lab.output import LineSink, watch_output
+from netlab.lab.process import Process, ProcessSpec, Restart, State
 from netlab.lab.spawn_messages import AddNode, Exited, Spawn, Spawned
-
-TAIL_LINES = 20
-
-
-class State(StrEnum):
-    """Where a process stands."""
-
-    STARTING = "starting"
-    READY = "ready"
-    EXITED = "exited"
-
-
-class Restart(StrEnum):
-    """What to do when a process ends by itself."""
-
-    NEVER = "never"
-    ALWAYS = "always"
-
-
-@dataclass(frozen=True, slots=True)
-class ProcessSpec:
-    """What to run in a node.
-
-    ``{ready_fd}``, ``{events_fd}`` and ``{command_fd}`` in ``argv`` become descriptor numbers in the child: the first
-    is written to when the program is ready, the second takes JSON lines for the capture, the third is a SEQPACKET
-    socket whose other end is ``Process.command``.
-    """
-
-    node: str
-    name: str
-    argv: tuple[str, ...]
-    env: Mapping[str, str] = field(default_factory=dict)
-    waits_for_ready: bool = False
-    restart: Restart = Restart.NEVER
-
-
-@dataclass(slots=True)
-class Process:
-    """One process of a node; survives restarts of the program."""
-
-    spec: ProcessSpec
-    state: State = State.STARTING
-    pid: int = 0
-    exit_status: int | None = None
-    restarts: int = 0
-    stopping: bool = False
-    command: socket.socket | None = None
-    tail: deque[str] = field(default_factory=lambda: deque(maxlen=TAIL_LINES))
-    read_output: Callable[[], None] = lambda: None
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
-
-    def describe_failure(self) -> str:
-        """Name, argv, exit code and last log lines, for a person."""
-        status = "has not started" if self.exit_status is None else describe_status(self.exit_status)
-        log = "".join(f"\n    {line}" for line in self.tail) or " (it printed nothing)"
-        return f"{self.spec.node}: process '{self.spec.name}' {status}; argv: {' '.join(self.spec.argv)}; log:{log}"
-
-
-def describe_status(status: int) -> str:
-    """``status`` as in subprocess: negative means a signal."""
-    if status >= 0:
-        return f"ended with exit code {status}"
-    try:
-        return f"was ended by {signal.Signals(-status).name}"
-    except ValueError:
-        return f"was ended by signal {-status}"
-
-
-#: Called for each new process with a descriptor to give to it as its event stream, or None where nobody records.
-FeedOpener = Callable[[ProcessSpec], int | None]
-LineSink = Callable[[str, str, str], None]  # node, process, line
 
 
 class Processes:
@@ -137,48 +64,23 @@ class Processes:
         """
         process = self._by_key.setdefault((spec.node, spec.name), Process(spec))
         process.state, process.exit_status, process.stopping = State.STARTING, None, False
-        with contextlib.ExitStack() as stack:
-            output_read, output_write = os.pipe()
-            stack.callback(os.close, output_write)
-            null = os.open(os.devnull, os.O_RDONLY)
-            stack.callback(os.close, null)
-            fds: list[int] = [null, output_write, output_write]
-            ready_read = -1
-            values: dict[str, str] = {}
-            if spec.waits_for_ready:
-                ready_read, ready_write = os.pipe()
-                stack.callback(os.close, ready_write)
-                values["{ready_fd}"] = str(len(fds))
-                fds.append(ready_write)
-            if any("{events_fd}" in argument for argument in spec.argv):
-                events_fd = self.open_events(spec)
-                if events_fd is None:
-                    events_fd = os.open(os.devnull, os.O_WRONLY)
-                stack.callback(os.close, events_fd)
-                values["{events_fd}"] = str(len(fds))
-                fds.append(events_fd)
-            if "{command_fd}" in spec.argv:
-                process.command, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-                process.command.setblocking(False)
-                stack.callback(theirs.close)
-                values["{command_fd}"] = str(len(fds))
-                fds.append(theirs.fileno())
-            env = {**self._base_env, **spec.env}
-            if "{ready_fd}" in values:
-                env["READY_FD"] = values["{ready_fd}"]
-            argv = tuple(values.get(argument, argument) for argument in spec.argv)
-            answer = self._spawn(Spawn(0, spec.node, argv, env, self._cwd, tuple(range(len(fds)))), fds)
-        self._watch_output(process, output_read)
+        with ChildDescriptors(spec, self.open_events) as child:
+            env = {**self._base_env, **spec.env, **child.env}
+            numbers = tuple(range(len(child.fds)))
+            answer = self._spawn(Spawn(0, spec.node, child.argv, env, self._cwd, numbers), child.fds)
+        process.command = child.command
+        watch_output(process, child.output, self._log_dir, self.on_line)
         if answer.error:
             process.state, process.exit_status = State.EXITED, 127
             process.tail.append(answer.error)
-            if ready_read >= 0:
-                os.close(ready_read)
-            raise LabError(f"{spec.node}: process '{spec.name}' cannot start: {answer.error}; argv: {' '.join(argv)}")
+            if child.ready is not None:
+                os.close(child.ready)
+            argv = " ".join(child.argv)
+            raise LabError(f"{spec.node}: process '{spec.name}' cannot start: {answer.error}; argv: {argv}")
         process.pid = answer.pid
         self._by_pid[answer.pid] = process
-        if spec.waits_for_ready:
-            self._watch_ready(process, ready_read)
+        if child.ready is not None:
+            self._watch_ready(process, child.ready)
         else:
             self._mark(process, State.READY)
         return process
@@ -268,54 +170,8 @@ class Processes:
 
         loop.add_reader(fd, readable)
 
-    def _watch_output(self, process: Process, fd: int) -> None:
-        os.set_blocking(fd, False)
-        directory = self._log_dir / process.spec.node
-        directory.mkdir(parents=True, exist_ok=True)
-        log = (directory / f"{process.spec.name}.log").open("ab", buffering=0)
-        pending = bytearray()
-        loop = asyncio.get_running_loop()
-
-        def read_some() -> bool:
-            try:
-                data = os.read(fd, 65536)
-            except BlockingIOError:
-                return False
-            with contextlib.suppress(OSError):  # a full disk must not stop the lab
-                log.write(data)
-            pending.extend(data)
-            *lines, rest = pending.split(b"\n")
-            pending[:] = rest
-            if not data and rest:
-                lines.append(rest)
-            for line in lines:
-                text = line.decode(errors="replace")
-                process.tail.append(text)
-                self.on_line(process.spec.node, process.spec.name, text)
-            if not data:
-                loop.remove_reader(fd)
-                os.close(fd)
-                log.close()
-                process.read_output = lambda: None
-            return bool(data)
-
-        def read_all() -> None:
-            while read_some():
-                pass
-
-        process.read_output = read_all
-        loop.add_reader(fd, read_some)
-
 
 def kill_group(pid: int, signum: int) -> None:
     """Signal a process group (every node process leads one); a group that is gone is fine."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(pid, signum)
-
-
-def feed_pair() -> tuple[int, int]:
-    """A stream with roomy buffers between a producer in a node and the recorder: (recorder's end, producer's end)."""
-    recorder, producer = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-    for end in (recorder, producer):
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
-    return recorder.detach(), producer.detach()

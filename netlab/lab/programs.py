@@ -8,7 +8,7 @@ from typing import Any
 import tomli_w
 
 from netlab.engines.base import LabPlan
-from netlab.lab.processes import ProcessSpec, Restart
+from netlab.lab.process import ProcessSpec, Restart
 from netlab.lab.traffic import StreamSpec, encode_streams
 from netlab.scenario.model import Scenario
 from netlab.scenario.traffic import ALL

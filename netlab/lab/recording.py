@@ -6,6 +6,7 @@ Without a capture every method is a no-op, so that nobody else has to ask.
 from __future__ import annotations
 
 import os
+import socket
 import sys
 import time
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from typing import Any
 from netlab.capture.handle import Recorder
 from netlab.capture.messages import RecorderStats
 from netlab.ipc import Channel
-from netlab.lab.processes import ProcessSpec, feed_pair
+from netlab.lab.process import ProcessSpec
 
 
 class Recording:
@@ -117,7 +118,7 @@ class Recording:
     def _feed(self, kind: str, topic: str, node: str, process: str) -> int | None:
         if self._recorder is None:
             return None
-        theirs, ours = feed_pair()
+        theirs, ours = _feed_pair()
         self._recorder.add_feed(kind, topic, node, process, theirs)
         os.close(theirs)
         return ours
@@ -125,3 +126,11 @@ class Recording:
     def _message(self, topic: str, payload: dict[str, Any]) -> None:
         if self._recorder is not None:
             self._recorder.message(topic, payload, time.time_ns())
+
+
+def _feed_pair() -> tuple[int, int]:
+    """A stream with roomy buffers between a producer in a node and the recorder: (recorder's end, producer's end)."""
+    recorder, producer = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    for end in (recorder, producer):
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+    return recorder.detach(), producer.detach()

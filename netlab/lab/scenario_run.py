@@ -17,7 +17,8 @@ from typing import Any
 from netlab.engines.base import LabPlan
 from netlab.errors import LabError
 from netlab.lab.links import Links
-from netlab.lab.processes import Process, Processes, ProcessSpec, State, describe_status
+from netlab.lab.process import Process, ProcessSpec, State, describe_status
+from netlab.lab.processes import Processes
 from netlab.lab.programs import DISCOVERY_LIMIT_S, SINK, SOURCE, traffic_sinks, traffic_sources
 from netlab.lab.recording import Recording
 from netlab.scenario.model import Scenario

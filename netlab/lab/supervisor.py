@@ -23,34 +23,32 @@ from typing import Any
 from netlab.capture.metadata import run_metadata
 from netlab.engines.choose import make_engine
 from netlab.engines.plan import compile_plan, hosts
-from netlab.errors import LabError, MachineError, NetlabError
+from netlab.errors import MachineError, NetlabError
 from netlab.ipc import Channel
 from netlab.kernel import syscalls
 from netlab.lab.box import run_in_box
-from netlab.lab.control import Connection, ControlServer, Reply, Request
+from netlab.lab.control import ControlServer
 from netlab.lab.isolation import keep_paths
 from netlab.lab.launch import LaunchOptions, log_tail
-from netlab.lab.links import Links, parse_words
-from netlab.lab.processes import Processes, State, kill_group
+from netlab.lab.links import Links
+from netlab.lab.processes import Processes
 from netlab.lab.programs import node_processes
 from netlab.lab.recording import Recording
 from netlab.lab.registry import LabFolder
-from netlab.lab.scenario_run import READY_LIMIT_S, Phase, ScenarioRun, wait_for_state, wait_ready
-from netlab.medium.impairments import PERFECT
-from netlab.medium.segments import SegmentKind
+from netlab.lab.requests import Requests
+from netlab.lab.scenario_run import READY_LIMIT_S, ScenarioRun, wait_ready
 from netlab.scenario.model import Scenario
-from netlab.timeline import Kind, SetPairs, compile_timeline
-from netlab.timeline.impairments import impairment
+from netlab.timeline import SetPairs, compile_timeline
 
 
 class Supervisor:
-    """One lab. ``build`` makes it, ``serve`` keeps it until it is told to end."""
+    """One lab. ``build`` makes it, ``serve`` keeps it until it is told to end; the rest is for ``Requests``."""
 
     def __init__(self, folder: LabFolder, scenario: Scenario, options: LaunchOptions) -> None:
         self._folder = folder
         self._scenario = scenario
         self._options = options
-        self._plan = compile_plan(scenario)
+        self.plan = compile_plan(scenario)
         self._ending = asyncio.Event()
         self._bring_up_s = 0.0
         self._recorder_stats: dict[str, Any] | None = None
@@ -68,29 +66,29 @@ class Supervisor:
         loop.add_signal_handler(signal.SIGCHLD, _reap_orphans)
         later = [
             change
-            for entry in compile_timeline(self._scenario, self._plan)
+            for entry in compile_timeline(self._scenario, self.plan)
             if isinstance(entry.action, SetPairs)
             for change in entry.action.changes.values()
             if change is not None
         ]
-        self._engine_name, self._engine = make_engine(self._options.engine, self._plan, later)
+        self._engine_name, self._engine = make_engine(self._options.engine, self.plan, later)
         channel = self._start_spawner()
         self._bring_up_s = self._engine.bring_up()
-        self._recording = self._start_recording()
-        self._processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
-        self._processes.open_events = self._recording.open_events
-        self._processes.on_line = self._recording.line
-        self._links = Links(self._plan, self._engine)
-        self._run = ScenarioRun(self._scenario, self._plan, self._links, self._processes, self._recording)
-        self._processes.on_exit = self._run.process_ended
-        self._processes.on_lost = lambda: self._fail("the lab's fork server ended; no process is watched any more")
-        text = "127.0.0.1 localhost\n::1 localhost\n" + "".join(f"{a} {n}\n" for a, n in hosts(self._plan))
+        self.recording = self._start_recording()
+        self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
+        self.processes.open_events = self.recording.open_events
+        self.processes.on_line = self.recording.line
+        self.links = Links(self.plan, self._engine)
+        self.run = ScenarioRun(self._scenario, self.plan, self.links, self.processes, self.recording)
+        self.processes.on_exit = self.run.process_ended
+        self.processes.on_lost = lambda: self._fail("the lab's fork server ended; no process is watched any more")
+        text = "127.0.0.1 localhost\n::1 localhost\n" + "".join(f"{a} {n}\n" for a, n in hosts(self.plan))
         keep = keep_paths(sys.prefix, sys.base_prefix, self._folder.path, *self._options.keep_visible)
-        for node in self._plan.nodes:
-            self._processes.add_node(node, self._engine.namespace_fds[node], text, keep)
-        specs = [spec for node in self._plan.nodes for spec in node_processes(self._scenario, node, self._folder.path)]
-        await wait_ready([self._processes.start(spec) for spec in specs], READY_LIMIT_S)
-        self._control = ControlServer(self._folder.control_socket, self.handle)
+        for node in self.plan.nodes:
+            self.processes.add_node(node, self._engine.namespace_fds[node], text, keep)
+        specs = [spec for node in self.plan.nodes for spec in node_processes(self._scenario, node, self._folder.path)]
+        await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
+        self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
 
     def _start_spawner(self) -> Channel:
         ours, theirs = Channel.pair()
@@ -113,14 +111,14 @@ class Supervisor:
             engine=self._engine_name,
             clock="real",
             duration_s=self._scenario.duration_s,
-            plan=self._plan,
+            plan=self.plan,
             streams=streams,
             kept_latest=[stream.index for stream in streams if traffic[stream.entry].offline == "latest"],
         )
-        recording = Recording.start(self._options.capture, metadata, {}, len(self._plan.nodes))
+        recording = Recording.start(self._options.capture, metadata, {}, len(self.plan.nodes))
         if self._options.packets:
-            for node in self._plan.nodes:
-                interfaces = [port.ifname for port in self._plan.ports if port.node == node]
+            for node in self.plan.nodes:
+                interfaces = [port.ifname for port in self.plan.ports if port.node == node]
                 recording.add_node(node, self._engine.namespace_fds[node], interfaces)
             verdicts = recording.add_verdicts()
             if verdicts is not None:
@@ -136,7 +134,7 @@ class Supervisor:
         while not self._ending.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._ending.wait(), 0.5)
-            self._notices += self._recording.notices()
+            self._notices += self.recording.notices()
             if not self._failures and (problem := self._engine.problem()) is not None:
                 self._fail(f"{problem}: {log_tail(self._folder)}")
         self.close()
@@ -150,35 +148,24 @@ class Supervisor:
 
     def close(self) -> None:
         """Stop processes and finish the capture; the rest goes with PID 1."""
-        for process in self._processes.all():
-            self._processes.stop(process)
+        for process in self.processes.all():
+            self.processes.stop(process)
         self._close_recording()
         self._engine.close()
 
-    async def handle(self, request: Request, fds: list[int], connection: Connection) -> Reply | None:
-        """Answer one control request; its ``do`` names a method ``_do_...``.
-
-        Raises:
-            LabError: Unknown request, or it cannot be done.
-        """
-        method = getattr(self, f"_do_{request.get('do')}", None)
-        if method is None:
-            raise LabError(f"unknown request {request.get('do')!r}")
-        reply: Reply | None = await method(request, fds, connection)
-        return reply
-
-    async def _do_status(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
+    def status(self) -> dict[str, Any]:
+        """The lab as plain values, for commands."""
         return {
             "name": self._folder.name,
             "scenario": self._scenario.name,
-            "seed": self._plan.seed,
+            "seed": self.plan.seed,
             "engine": self._engine_name,
-            "phase": self._run.phase,
-            "t_s": self._run.t_s,
-            "t0_ns": self._run.t0_ns,
+            "phase": self.run.phase,
+            "t_s": self.run.t_s,
+            "t0_ns": self.run.t0_ns,
             "duration_s": self._scenario.duration_s,
             "bring_up_s": self._bring_up_s,
-            "nodes": list(self._plan.nodes),
+            "nodes": list(self.plan.nodes),
             "processes": [
                 {
                     "node": process.spec.node,
@@ -188,115 +175,41 @@ class Supervisor:
                     "exit_status": process.exit_status,
                     "restarts": process.restarts,
                 }
-                for process in self._processes.all()
+                for process in self.processes.all()
             ],
-            "links": [{key: row[key] for key in ("from", "to", "state")} for row in self._links.describe()],
-            "streams": self._run.streams,
-            "problems": self._run.problems,
+            "links": [{key: row[key] for key in ("from", "to", "state")} for row in self.links.describe()],
+            "streams": self.run.streams,
+            "problems": self.run.problems,
             "notices": self._notices,
             "failures": self._failures,
             "capture": str(self._options.capture) if self._options.capture else None,
             "recorder": self._recorder_stats,
         }
 
-    async def _do_run(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        if self._run.phase is not Phase.READY:
-            raise LabError(f"this lab's scenario is {self._run.phase} already; start another lab")
-        task = self._scenario_task = asyncio.create_task(self._run_scenario())
-        begun = asyncio.create_task(self._run.wait_until(0.0))
-        await asyncio.wait({task, begun}, return_when=asyncio.FIRST_COMPLETED)
-        begun.cancel()
-        if task.done():
-            task.result()  # raises what kept it from beginning
-        return {"ok": True, "t0_ns": self._run.t0_ns}
+    def begin_scenario(self) -> asyncio.Task[None]:
+        """Start the scenario; the task ends with it, or with what kept it from beginning."""
+        self._scenario_task = asyncio.create_task(self._run_scenario())
+        return self._scenario_task
+
+    def end(self) -> None:
+        """Have the lab end."""
+        self._ending.set()
 
     async def _run_scenario(self) -> None:
         try:
-            await self._run.run()
+            await self.run.run()
         except asyncio.CancelledError:  # a failure, which stands in the status
             pass
         except OSError as error:
-            if self._run.t0_ns is None:
+            if self.run.t0_ns is None:
                 raise
             self._failures.append(f"the scenario could not go on: {error}")
         self._close_recording()
-        self._run.finish()
-
-    async def _do_wait(self, request: Request, fds: list[int], connection: Connection) -> Reply:
-        if "at_s" in request:
-            await self._run.wait_until(float(request["at_s"]))
-        else:
-            await self._run.wait_for_phase(Phase(request["phase"]))
-        return await self._do_status(request, fds, connection)
-
-    async def _do_exec(self, request: Request, fds: list[int], connection: Connection) -> None:
-        node, argv = request["node"], tuple(request["argv"])
-        if node not in self._plan.nodes:
-            raise LabError(f"there is no node '{node}'; nodes are {', '.join(self._plan.nodes)}")
-        if len(fds) != 3:
-            raise LabError("exec takes three descriptors")
-        tty = bool(request.get("tty"))
-        pid, ended = self._processes.execute(node, argv, request.get("env", {}), request["cwd"], fds, tty=tty)
-        connection.send({"pid": pid})
-        connection.on_close = lambda: _hang_up(pid, ended)
-        status = await ended
-        connection.on_close = lambda: None
-        connection.send({"exit": status})
-
-    async def _do_outage(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        a, b = request["between"]
-        pairs, _kind = self._links.between(a, b, one_way=bool(request.get("one_way")))
-        active = bool(request["active"])
-        self._links.set_outage("person", pairs, active=active)
-        self._record_act("outage", f"outage {a}-{b} {'begins' if active else 'ends'}", None if active else (a, b))
-        return {"ok": True}
-
-    async def _do_carrier(self, request: Request, fds: list[int], connection: Connection) -> Reply:
-        a, b = request["between"]
-        pairs, kind = self._links.between(a, b)
-        if kind is not SegmentKind.WIRE:
-            return await self._do_outage(request | {"active": not request["up"]}, fds, connection)
-        up = bool(request["up"])
-        if up:  # whole again, also where one direction was cut
-            self._links.set_outage("person", pairs, active=False)
-        self._links.set_carrier("person", {port for pair in pairs for port in pair}, up=up)
-        self._record_act("carrier", f"link {a}-{b} {'up' if up else 'down'}", (a, b) if up else None)
-        return {"ok": True}
-
-    async def _do_link(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        a, b = request["between"]
-        pairs, _kind = self._links.between(a, b, one_way=bool(request.get("one_way")))
-        words = parse_words(a, b, request["words"])
-        changes = {pair: impairment(words, self._links.impairment(pair) or PERFECT) for pair in pairs}
-        label = f"link {a}-{b}: " + ", ".join(f"{key}={value}" for key, value in request["words"].items())
-        await self._run.apply(SetPairs(changes), Kind.LINK, label, at_s=self._run.t_s)
-        return {"ok": True}
-
-    async def _do_kill(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        process = self._processes.get(request["node"], request["process"])
-        self._processes.stop(process, signal.SIGKILL)
-        await wait_for_state(process, State.EXITED, 5.0)
-        return {"ok": True}
-
-    async def _do_start(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        process = self._processes.get(request["node"], request["process"])
-        if process.state is not State.EXITED:
-            raise LabError(f"{request['node']}: {request['process']} is {process.state} already")
-        self._processes.start(process.spec)
-        await wait_ready([process], READY_LIMIT_S)
-        return {"ok": True}
-
-    async def _do_down(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        asyncio.get_running_loop().call_later(0.01, self._ending.set)  # after the answer is out
-        return {"ok": True}
-
-    def _record_act(self, kind: str, label: str, restores: tuple[str, str] | None) -> None:
-        self._recording.timeline(kind, label, at_s=self._run.t_s, restores=list(restores) if restores else None)
-        self._recording.links(self._links.describe())
+        self.run.finish()
 
     def _close_recording(self) -> None:
-        self._notices += self._recording.notices()
-        stats = self._recording.close()
+        self._notices += self.recording.notices()
+        stats = self.recording.close()
         if stats is not None:
             self._recorder_stats = asdict(stats)
 
@@ -313,13 +226,6 @@ def _reap_orphans() -> None:
     with contextlib.suppress(ChildProcessError):
         while os.waitpid(-1, os.WNOHANG)[0]:
             pass
-
-
-def _hang_up(pid: int, ended: asyncio.Future[int]) -> None:
-    """The one who ran the command is gone: as when a terminal closes, and no later."""
-    if not ended.done():
-        kill_group(pid, signal.SIGHUP)
-        kill_group(pid, signal.SIGKILL)
 
 
 def _say(ready_fd: int, answer: dict[str, Any]) -> None:
