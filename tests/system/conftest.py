@@ -37,6 +37,7 @@ class Netlab:
         self.work = work
         self.env = {**os.environ, "NETLAB_RUNTIME_DIR": str(runtime), "NETLAB_TEST_MARK": runtime.name}
         self.env["TMPDIR"] = str(work)
+        self.env["PS1"] = "# "  # whatever the shell that runs the tests exports
 
     def __call__(
         self, *arguments: object, stdin: str = "", cwd: Path | None = None
