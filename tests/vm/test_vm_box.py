@@ -94,7 +94,14 @@ def test_a_guest_that_cannot_power_off_keeps_its_exit_code(tmp_path: Path, monke
     monkeypatch.setattr("netlab.vm.run.POWER_OFF_LIMIT_S", 0.3)
     result = Run().box("true", kernel=fake_kernel(tmp_path, ANSWER + "sleep 987653"))
     assert result.exit_code == 7
+    assert result.wall_s < 15  # far from the time limit of 30 s
     assert not with_word("987653")
+
+
+def test_output_that_comes_all_at_once_is_forwarded_whole(tmp_path: Path) -> None:
+    run, lines = Run(), 300_000
+    run.box("true", kernel=fake_kernel(tmp_path, f'seq {lines} >"$control/stdout"{ANSWER}'))
+    assert run.out.getvalue().count(b"\n") == lines + 1
 
 
 CALLER = """
