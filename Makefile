@@ -30,7 +30,7 @@ lab: $(STAMP)
 	@$(BIN)/netlab lab $(SCENARIO)
 
 test: $(STAMP) tools
-	@$(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n auto --dist worksteal --ignore=tests/vm $(PYTEST_ARGS)
 
 check: $(STAMP)
 	@$(BIN)/ruff check .

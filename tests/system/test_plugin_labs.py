@@ -23,6 +23,7 @@ def names(lab):
 @pytest.fixture(autouse=True)
 def _own_options(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    monkeypatch.delenv("CI", raising=False)  # pytest then prints its summary at another length
     monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
 
 
