@@ -10,6 +10,7 @@ line discipline, and in virtual time no time passes.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import fcntl
@@ -24,7 +25,7 @@ import sys
 import time
 from pathlib import Path
 
-MS_RDONLY, MS_NOSUID, MS_NODEV, MS_NOEXEC, MS_BIND, MS_MOVE, MS_REC, MS_PRIVATE = 1, 2, 4, 8, 4096, 8192, 16384, 1 << 18
+MS_NOSUID, MS_NODEV, MS_NOEXEC, MS_BIND, MS_MOVE, MS_REC, MS_PRIVATE = 2, 4, 8, 4096, 8192, 16384, 1 << 18
 MNT_DETACH = 2
 SYS_PIVOT_ROOT, SYS_FINIT_MODULE = 155, 313  # x86-64
 RB_POWER_OFF = 0x4321FEDC
@@ -36,9 +37,7 @@ OPEN_FILES = 1 << 20
 #: Fresh and empty in every box; a path below one of them that the command needs is bound back in.
 FRESH = ("/tmp", "/run", "/dev/shm")
 
-#: The control folder as the box sees it.
-CONTROL = "/run/netlab-vm"
-
+CONTROL = "/run/netlab-vm"  # the control folder as the box sees it
 STAGE = "/tmp"  # exists on every Linux, and is about to be covered anyway
 libc = ctypes.CDLL(None, use_errno=True)
 
@@ -177,15 +176,10 @@ def name_machine(name: str) -> None:
         hosts.write(f"\n127.0.1.1 {name}\n")
 
 
-class Out:
-    """A file in the control folder, on the host as soon as ``write`` returns."""
-
-    def __init__(self, name: str) -> None:
-        self.path = Path(CONTROL, name)
-
-    def write(self, data: bytes) -> None:
-        with self.path.open("ab") as stream:
-            stream.write(data)
+def tell(name: str, data: bytes) -> None:
+    """Append to a file in the control folder; the host has it when this returns."""
+    with Path(CONTROL, name).open("ab") as stream:
+        stream.write(data)
 
 
 def start(job: Job, stdout: int, stderr: int) -> int:
@@ -213,7 +207,7 @@ def start(job: Job, stdout: int, stderr: int) -> int:
         os._exit(126)
 
 
-def pump(pid: int, sources: dict[int, Out]) -> int:
+def pump(pid: int, sources: dict[int, str]) -> int:
     """Carry output out until the command has ended and its pipes are empty; returns its exit code, reaping orphans."""
     woken, wake = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
@@ -237,18 +231,16 @@ def pump(pid: int, sources: dict[int, Out]) -> int:
     return code
 
 
-def carry(fd: int, out: Out) -> bool:
+def carry(fd: int, name: str) -> bool:
     data = os.read(fd, CHUNK_BYTES)
     if data:
-        out.write(data)
+        tell(name, data)
     return bool(data)
 
 
 def drain_children(woken: int, pid: int, code: int | None) -> int | None:
-    try:
+    with contextlib.suppress(BlockingIOError):
         os.read(woken, 512)
-    except BlockingIOError:
-        return code
     found = reap(pid)
     return code if found is None else found
 
@@ -275,8 +267,8 @@ def serve(job: Job) -> None:
     pid = start(job, pipes["stdout"][1], pipes["stderr"][1])
     for _reader, writer in pipes.values():
         os.close(writer)
-    code = pump(pid, {reader: Out(name) for name, (reader, _writer) in pipes.items()})
-    Out("status").write(json.dumps({"exit_code": code, "guest_s": time.monotonic() - began_s}).encode() + b"\n")
+    code = pump(pid, {reader: name for name, (reader, _writer) in pipes.items()})
+    tell("status", json.dumps({"exit_code": code, "guest_s": time.monotonic() - began_s}).encode() + b"\n")
 
 
 def power_off() -> None:
@@ -295,7 +287,7 @@ def main() -> None:
         load_modules(job.load)
         raise_loopback()
         name_machine("box")
-        Out("up").write(b"up\n")
+        tell("up", b"up\n")
         serve(job)
     except OSError as error:
         print(f"netlab box: {error}", flush=True)  # the console, which the host keeps
