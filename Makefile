@@ -7,13 +7,16 @@ STAMP  := $(VENV)/.installed
 SCENARIO ?= topologies/default.yaml
 # Debian packages that some tests compare with; the product itself needs none of them.
 TOOLS  := tcpdump tshark iproute2 iputils-ping
+# To build the kernel in a box, once.
+VM_TOOLS := gcc make flex bison bc libelf-dev xz-utils
 PYTEST_ARGS ?=
 
-.PHONY: lab test check bench venv tools clean help
+.PHONY: lab test test-vm vm-tools check bench venv tools clean help
 
 help:
 	@echo "make lab     run the interactive lab on SCENARIO ($(SCENARIO))"
 	@echo "make test    run the whole test suite"
+	@echo "make test-vm run the tests of the kernel in a box, and system tests in virtual time inside it"
 	@echo "make check   ruff and mypy"
 	@echo "make bench   measure the lab itself"
 	@echo "make venv    set up $(VENV) only"
@@ -31,6 +34,13 @@ lab: $(STAMP)
 
 test: $(STAMP) tools
 	@$(BIN)/python -m pytest -n auto --dist worksteal --ignore=tests/vm $(PYTEST_ARGS)
+
+# The kernel that the box needs is built once per machine (about 10 minutes) and then taken from the cache.
+test-vm: $(STAMP) tools vm-tools
+	@$(BIN)/netlab vm build
+	@$(BIN)/python -m pytest -n auto tests/vm $(PYTEST_ARGS)
+	@$(BIN)/netlab vm --clock virtual --timeout 1500 --output captures -- \
+	  $(CURDIR)/$(BIN)/python -m pytest -p no:cacheprovider tests/system/test_kernel_netem.py tests/system/test_lab_scenarios.py $(PYTEST_ARGS)
 
 check: $(STAMP)
 	@$(BIN)/ruff check .
@@ -50,6 +60,18 @@ tools:
 	  else \
 	    echo "missing tools:$$missing; the tests that compare with them are skipped. To run them too:"; \
 	    echo "  sudo apt-get install $(TOOLS)"; \
+	  fi; \
+	fi
+
+vm-tools:
+	@missing=""; for tool in gcc flex bison bc xz; do command -v $$tool >/dev/null 2>&1 || missing="$$missing $$tool"; done; \
+	[ -e /usr/include/libelf.h ] || missing="$$missing libelf.h"; \
+	if [ -n "$$missing" ]; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \
+	    echo "installing Debian packages to build the box's kernel: $(VM_TOOLS)"; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(VM_TOOLS) >/dev/null || exit 2; \
+	  else \
+	    echo "missing to build the box's kernel:$$missing. To add it: sudo apt-get install $(VM_TOOLS)"; exit 2; \
 	  fi; \
 	fi
 

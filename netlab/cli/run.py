@@ -9,11 +9,13 @@ from pathlib import Path
 
 import click
 
+from netlab.cli.in_box import run_scenario_in_box
 from netlab.cli.status import Status
 from netlab.cli.up import with_scenario_options
 from netlab.errors import MachineError
 from netlab.lab.facade import Lab
 from netlab.lab.results import RunResult, needs_packets
+from netlab.scenario import load_scenario
 
 
 @click.command()
@@ -21,6 +23,7 @@ from netlab.lab.results import RunResult, needs_packets
 @with_scenario_options
 @click.option("--in", "where", type=click.Choice(["host", "vm"]), default="host", help="Where to run it.")
 @click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="By which clock.")
+@click.option("--timeout", "timeout_s", type=float, default=1800.0, show_default=True, help="Of --in vm, host seconds.")
 @click.option("--capture", type=click.Path(path_type=Path, dir_okay=False), help="Keep the capture (MCAP) here.")
 @click.option("--report", type=click.Path(path_type=Path, file_okay=False), help="Write an HTML report to this folder.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
@@ -31,6 +34,7 @@ def run(
     overrides: tuple[str, ...],
     where: str,
     clock: str,
+    timeout_s: float,
     capture: Path | None,
     report: Path | None,
     as_json: bool,
@@ -39,10 +43,14 @@ def run(
 
     Exit code: 0 met, 1 not met, 2 bad scenario or machine, or a run that broke and cannot be judged.
     """
-    if where == "vm" or clock == "virtual":
-        raise MachineError("--in vm and --clock virtual are not available yet; run on the host in real time")
     if report is not None:
         raise MachineError("--report is not available yet; look into a capture with: netlab inspect")
+    if clock == "virtual" and where != "vm":
+        raise click.UsageError("the host's clock cannot be virtual; add --in vm")
+    load_scenario(file, overrides=overrides, seed=seed, engine=engine)  # a mistake shows before a kernel boots
+    if where == "vm":
+        words = _words(engine=engine, seed=seed, overrides=overrides, as_json=as_json)
+        sys.exit(run_scenario_in_box(file, words, clock=clock, capture=capture, timeout_s=timeout_s))
     lab = Lab(file, engine=engine, seed=seed, overrides=overrides, capture=capture)
     lab.record_packets(capture is not None or needs_packets(lab.scenario))
     result = _run(lab)
@@ -53,6 +61,14 @@ def run(
     else:
         click.echo(result.report())
     sys.exit(result.exit_code)
+
+
+def _words(*, engine: str | None, seed: int | None, overrides: tuple[str, ...], as_json: bool) -> list[str]:
+    """The same options again, for the command inside the box."""
+    words = [word for override in overrides for word in ("--set", override)]
+    words += ["--engine", engine] if engine is not None else []
+    words += ["--seed", str(seed)] if seed is not None else []
+    return words + (["--json"] if as_json else [])
 
 
 DEFAULT_SCENARIO = Path("topologies/default.yaml")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from netlab.clock import clock_here
 from netlab.errors import CaptureError
 from netlab.scenario.expect import PriorityInversionsExpectation, RetransmissionsExpectation
 from netlab.scenario.model import Scenario
@@ -119,7 +120,7 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
     shown = {
         "scenario": scenario.name,
         "engine": final["engine"],
-        "clock": "real",
+        "clock": clock_here(),
         "seed": final["seed"],
         "duration_s": scenario.duration_s,
         "bring_up_s": final["bring_up_s"],

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from netlab.capture.metadata import run_metadata
+from netlab.clock import clock_here
 from netlab.engines.choose import make_engine
 from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import MachineError, NetlabError
@@ -109,7 +110,7 @@ class Supervisor:
         metadata = run_metadata(
             scenario_text=self._options.scenario_text,
             engine=self._engine_name,
-            clock="real",
+            clock=clock_here(),
             duration_s=self._scenario.duration_s,
             plan=self.plan,
             streams=streams,

@@ -73,7 +73,7 @@ def test_every_mistake_is_named_with_its_line_and_nothing_starts(netlab: Callabl
         (["run", PAIR, "--seed", "x"], ["'x' is not a valid integer"]),
         (["run", PAIR, "--capture", "/dev/null/run.mcap"], ["/dev/null/run.mcap", "cannot be made"]),
         (["up", PAIR, "--capture", "/dev/null/run.mcap"], ["/dev/null/run.mcap", "cannot be made"]),
-        (["run", PAIR, "--in", "vm"], ["not available yet"]),
+        (["run", PAIR, "--clock", "virtual"], ["the host's clock cannot be virtual; add --in vm"]),
         (["run", PAIR, "--report", "out"], ["not available yet", "netlab inspect"]),
         (["lab"], ["topologies/default.yaml", "No such file"]),
         (["inspect", "missing.mcap"], ["missing.mcap: No such file"]),
