@@ -11,10 +11,12 @@ import os
 import pickle
 import socket
 import struct
+import sys
 from collections.abc import Sequence
 from typing import Any
 
 _HEADER = struct.Struct("<IH")  # length of the pickled message, number of file descriptors that come with it
+_CHILD_FD = 3
 MAX_FDS = 250  # the kernel's SCM_MAX_FD is 253
 
 
@@ -91,3 +93,22 @@ class Channel:
             parts.append(part)
             count -= len(part)
         return b"".join(parts)
+
+
+def start_module(module: str) -> tuple[Channel, int]:
+    """Start ``python -m MODULE --channel-fd N`` as a child; returns our end of its channel and its process id.
+
+    Raises:
+        OSError: The process cannot be started.
+    """
+    ours, theirs = Channel.pair()
+    try:
+        pid = os.posix_spawn(
+            sys.executable,
+            [sys.executable, "-m", module, "--channel-fd", str(_CHILD_FD)],
+            os.environ,
+            file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), _CHILD_FD)],
+        )
+    finally:
+        theirs.close()
+    return ours, pid

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 
-from netlab.cli.in_box import run_scenario_in_box
 from netlab.cli.status import Status
 from netlab.cli.up import with_scenario_options
 from netlab.errors import MachineError
@@ -47,8 +46,10 @@ def run(
         raise MachineError("--report is not available yet; look into a capture with: netlab inspect")
     if clock == "virtual" and where != "vm":
         raise click.UsageError("the host's clock cannot be virtual; add --in vm")
-    load_scenario(file, overrides=overrides, seed=seed, engine=engine)  # a mistake shows before a kernel boots
     if where == "vm":
+        from netlab.cli.in_box import run_scenario_in_box  # a run on the host need not load it
+
+        load_scenario(file, overrides=overrides, seed=seed, engine=engine)  # a mistake shows before a kernel boots
         words = _words(engine=engine, seed=seed, overrides=overrides, as_json=as_json)
         sys.exit(run_scenario_in_box(file, words, clock=clock, capture=capture, timeout_s=timeout_s))
     lab = Lab(file, engine=engine, seed=seed, overrides=overrides, capture=capture)

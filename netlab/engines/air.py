@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import sys
 import time
 
 from netlab.engines.air_messages import (
@@ -22,12 +21,11 @@ from netlab.engines.air_messages import (
 )
 from netlab.engines.base import LabPlan, Pair
 from netlab.errors import LabError, MachineError
-from netlab.ipc import Channel
+from netlab.ipc import Channel, start_module
 from netlab.kernel.wiring import VethSpec, Wiring, build
 from netlab.medium.impairments import Impairment
 
 _ANSWER_LIMIT_S = 30.0
-_CHANNEL_FD = 3
 
 
 class AirEngine:
@@ -135,14 +133,7 @@ class AirEngine:
         return self._wiring
 
     def _start_process(self) -> None:
-        self._channel, theirs = Channel.pair()
-        self._pid = os.posix_spawn(
-            sys.executable,
-            [sys.executable, "-m", "netlab.engines.air_process", "--channel-fd", str(_CHANNEL_FD)],
-            os.environ,
-            file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), _CHANNEL_FD)],
-        )
-        theirs.close()
+        self._channel, self._pid = start_module("netlab.engines.air_process")
 
     def _ask(self, request: Request, fds: list[int] | None = None) -> Answer:
         """Send one request and wait until it is in force."""

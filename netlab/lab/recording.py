@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import socket
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 
 from netlab.capture.handle import Recorder
 from netlab.capture.messages import RecorderStats
-from netlab.ipc import Channel
+from netlab.ipc import start_module
 from netlab.lab.process import ProcessSpec
 
 
@@ -34,15 +33,8 @@ class Recording:
         Raises:
             CaptureError: The file cannot be created.
         """
-        ours, theirs = Channel.pair()
-        os.posix_spawn(
-            sys.executable,
-            [sys.executable, "-m", "netlab.capture.recorder", "--channel-fd", "3"],
-            os.environ,
-            file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), 3)],
-        )
-        theirs.close()
-        recorder = Recorder(ours)
+        channel, _pid = start_module("netlab.capture.recorder")
+        recorder = Recorder(channel)
         recorder.open(str(path), metadata, attachments, nodes=nodes)
         return cls(recorder)
 

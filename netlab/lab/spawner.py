@@ -7,6 +7,7 @@ paying for the interpreter's start again). Exits go back to the supervisor. It k
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import fcntl
 import gc
@@ -42,9 +43,10 @@ class _Node:
 
 
 def main(argv: list[str]) -> int:
-    """Run until the supervisor closes the channel (``argv``: the channel's descriptor number)."""
-    server = _Spawner(Channel.from_fd(int(argv[0])))
-    return server.run()
+    """Run until the supervisor closes the channel."""
+    parser = argparse.ArgumentParser(prog="netlab-spawner")
+    parser.add_argument("--channel-fd", type=int, required=True)
+    return _Spawner(Channel.from_fd(parser.parse_args(argv).channel_fd)).run()
 
 
 class _Spawner:

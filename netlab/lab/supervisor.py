@@ -25,7 +25,7 @@ from netlab.clock import clock_here
 from netlab.engines.choose import make_engine
 from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import MachineError, NetlabError
-from netlab.ipc import Channel
+from netlab.ipc import start_module
 from netlab.kernel import syscalls
 from netlab.lab.box import run_in_box
 from netlab.lab.control import ControlServer
@@ -73,7 +73,7 @@ class Supervisor:
             if change is not None
         ]
         self._engine_name, self._engine = make_engine(self._options.engine, self.plan, later)
-        channel = self._start_spawner()
+        channel, _pid = start_module("netlab.lab.spawner")
         self._bring_up_s = self._engine.bring_up()
         self.recording = self._start_recording()
         self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
@@ -90,17 +90,6 @@ class Supervisor:
         specs = [spec for node in self.plan.nodes for spec in node_processes(self._scenario, node, self._folder.path)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
         self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
-
-    def _start_spawner(self) -> Channel:
-        ours, theirs = Channel.pair()
-        os.posix_spawn(
-            sys.executable,
-            [sys.executable, "-m", "netlab.lab.spawner", "3"],
-            os.environ,
-            file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), 3)],
-        )
-        theirs.close()
-        return ours
 
     def _start_recording(self) -> Recording:
         if self._options.capture is None:
