@@ -33,7 +33,8 @@ lab: $(STAMP)
 	@$(BIN)/netlab lab $(SCENARIO)
 
 test: $(STAMP) tools
-	@$(BIN)/python -m pytest -n auto --dist worksteal --ignore=tests/vm $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n auto --dist worksteal --ignore=tests/vm -m "not real_time" $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest tests/system -m real_time $(PYTEST_ARGS)
 
 # The kernel that the box needs is built once per machine (about 10 minutes) and then taken from the cache.
 test-vm: $(STAMP) tools vm-tools

@@ -9,6 +9,7 @@ from typing import Any
 
 from netlab.clock import clock_here
 from netlab.errors import CaptureError
+from netlab.lab.stalls import NOTABLE_S
 from netlab.scenario.expect import PriorityInversionsExpectation, RetransmissionsExpectation
 from netlab.scenario.model import Scenario
 from netlab.traces.expectations import ExpectationResult, evaluate
@@ -30,6 +31,8 @@ class RunResult:
         problems: Processes that ended by themselves and the like; each with what is known of it.
         failures: What broke of the lab itself (its engine, its recorder, the disk). Figures and expectations then
             cover no more than what was captured, and the run counts as not passed whatever they say.
+        worst_stall_s: The longest time for which the machine stood still meanwhile, 0 in virtual time. Latencies and
+            rates of such a run are partly the machine's.
     """
 
     summary: dict[str, Any]
@@ -37,6 +40,7 @@ class RunResult:
     expectations: tuple[ExpectationResult, ...]
     problems: tuple[str, ...]
     failures: tuple[str, ...] = ()
+    worst_stall_s: float = 0.0
 
     @property
     def passed(self) -> bool:
@@ -59,14 +63,22 @@ class RunResult:
         """Figures, expectations and, for those that failed, what happened around the failure; for a person."""
         parts = [summary_text(self.trace), _section("problems", self.problems)]
         parts.append(_section("expectations", [_line(result) for result in self.expectations]))
+        parts.append(_section("machine", self._stalls()))
         parts.append(_section(_BROKEN, self.failures))
         return "\n\n".join(part for part in parts if part)
 
     def complaints(self) -> str:
         """The part of the report that is not good news; empty if there is none."""
         unmet = [_line(result) for result in self.expectations if not result.passed]
-        sections = (_section("problems", self.problems), _section("expectations", unmet))
+        stalls = self._stalls() if unmet else []
+        sections = (_section("problems", self.problems), _section("expectations", unmet), _section("machine", stalls))
         return "\n\n".join(part for part in (*sections, _section(_BROKEN, self.failures)) if part)
+
+    def _stalls(self) -> list[str]:
+        if self.worst_stall_s < NOTABLE_S:
+            return []
+        text = f"it stood still for up to {milliseconds(self.worst_stall_s)}: latencies and rates are partly its own"
+        return [f"{text}; a busy machine changes nothing in virtual time (--in vm --clock virtual)"]
 
 
 _BROKEN = "THE LAB BROKE: figures and expectations cover only what was captured"
@@ -131,7 +143,14 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
         ],
         "capture": str(capture) if kept else None,
     }
-    return RunResult(shown, trace, expectations, tuple(dict.fromkeys(problems)), tuple(dict.fromkeys(failures)))
+    return RunResult(
+        shown,
+        trace,
+        expectations,
+        tuple(dict.fromkeys(problems)),
+        tuple(dict.fromkeys(failures)),
+        final["worst_stall_s"],
+    )
 
 
 def needs_packets(scenario: Scenario) -> bool:

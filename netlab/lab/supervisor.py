@@ -38,6 +38,7 @@ from netlab.lab.recording import Recording
 from netlab.lab.registry import LabFolder
 from netlab.lab.requests import Requests
 from netlab.lab.scenario_run import READY_LIMIT_S, ScenarioRun, wait_ready
+from netlab.lab.stalls import StallWatch
 from netlab.scenario.model import Scenario
 from netlab.timeline import SetPairs, compile_timeline
 
@@ -56,6 +57,7 @@ class Supervisor:
         self._notices: list[str] = []
         self._failures: list[str] = []
         self._scenario_task: asyncio.Task[None] | None = None
+        self._stalls = StallWatch()
 
     # -- building -------------------------------------------------------------------------------------------------
 
@@ -172,6 +174,7 @@ class Supervisor:
             "problems": self.run.problems,
             "notices": self._notices,
             "failures": self._failures,
+            "worst_stall_s": self._stalls.worst_s,
             "capture": str(self._options.capture) if self._options.capture else None,
             "recorder": self._recorder_stats,
         }
@@ -186,6 +189,7 @@ class Supervisor:
         self._ending.set()
 
     async def _run_scenario(self) -> None:
+        watching = asyncio.create_task(self._stalls.run())
         try:
             await self.run.run()
         except asyncio.CancelledError:  # a failure, which stands in the status
@@ -194,6 +198,8 @@ class Supervisor:
             if self.run.t0_ns is None:
                 raise
             self._failures.append(f"the scenario could not go on: {error}")
+        finally:
+            watching.cancel()
         self._close_recording()
         self.run.finish()
 
