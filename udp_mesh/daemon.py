@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--ready-fd", type=int, metavar="N", help="write READY=1 here when all sockets are open")
     parser.add_argument("--events-fd", type=int, metavar="N", help="write events here, one JSON object a line")
     parser.add_argument("--trace-fragments", action="store_true", help="report every fragment sent as an event")
+    parser.add_argument("--seed", metavar="TEXT", help="of the beacons' jitter, so that a run can be repeated")
     return parser
 
 
@@ -54,11 +55,10 @@ def _fail(text: str) -> int:
 
 def _serve(config: Config, arguments: argparse.Namespace) -> int:
     _allow_exact_timers()
-    rng = random.SystemRandom()
     core = MeshCore(
         config.settings(trace_fragments=arguments.trace_fragments),
-        epoch=new_epoch(rng),
-        rng=random.Random(rng.getrandbits(64)),
+        epoch=new_epoch(random.SystemRandom()),  # never seeded: it tells this start from every other
+        rng=random.Random(arguments.seed),
         now=time.monotonic(),
     )
     path = config.socket or default_socket()

@@ -26,7 +26,7 @@ def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessS
             config = folder / f"{node}.udp_mesh.toml"
             config.write_text(tomli_w.dumps(daemon_config(scenario, node)))
             argv: tuple[str, ...] = ("udp-mesh-daemon", "--config", str(config))
-            argv += ("--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}")
+            argv += ("--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}", "--seed", f"{scenario.seed}/{node}")
         else:
             assert process.argv is not None  # the model: builtin or argv
             argv = process.argv
