@@ -5,6 +5,7 @@ The socket belongs to the network namespace in which it was made and keeps worki
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import struct
@@ -24,10 +25,13 @@ HEADER = struct.Struct("=IHHII")  # length, type, flags, sequence number, port
 _ERROR = struct.Struct("=i")
 _ATTRIBUTE = struct.Struct("=HH")
 
-# The kernel answers a whole batch before this process reads the first answer; an ordinary user's receive buffer
-# (net.core.rmem_max, 208 KiB) holds about 250 of them and silently drops the rest.
-_BATCH_MESSAGES = 100
-_BATCH_BYTES = 128 * 1024
+# The kernel answers a whole batch before this process reads the first answer, and drops what the receive buffer does
+# not hold. An answer takes 768 bytes there, with an explanation up to twice that. An ordinary user's buffer
+# (net.core.rmem_max, 208 KiB) holds a batch of 100; root's is made so large that a whole lab goes in one batch.
+_ANSWER_BYTES = 2048
+_ROOT_BUFFER_BYTES = 8 * 1024 * 1024
+_SO_SNDBUFFORCE, _SO_RCVBUFFORCE = 32, 33  # asm-generic/socket.h
+_SEQUENCE_END = 1 << 32
 
 
 class NetlinkError(OSError):
@@ -46,6 +50,13 @@ class NetlinkSocket:
         self._sock = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.NETLINK_ROUTE)
         for option in (_NETLINK_CAP_ACK, _NETLINK_EXT_ACK):
             self._sock.setsockopt(_SOL_NETLINK, option, 1)
+        for option in (_SO_SNDBUFFORCE, _SO_RCVBUFFORCE):
+            with contextlib.suppress(PermissionError):  # not root outside the lab's user namespace
+                self._sock.setsockopt(socket.SOL_SOCKET, option, _ROOT_BUFFER_BYTES)
+        self._batch_messages = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // _ANSWER_BYTES
+        # The kernel wants room beside the message (netlink_sendmsg() in net/netlink/af_netlink.c).
+        self._batch_bytes = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) // 2
+        self._sequence = 0
 
     def fileno(self) -> int:
         """The descriptor; also good for interface ioctls in the socket's namespace."""
@@ -61,10 +72,12 @@ class NetlinkSocket:
         Raises:
             NetlinkError: The first refused message. Later ones of its batch have been applied or refused as well: the
                 kernel does not stop at an error.
+            OSError: Answers were lost; nobody knows what has been applied.
         """
-        for first, batch in _batches(messages):
-            self._send(batch)
-            self._check_answers(first, len(batch))
+        for first, batch in _batches(messages, self._batch_messages, self._batch_bytes):
+            sequence = self._reserve(len(batch))
+            self._send(batch, sequence)
+            self._check_answers(first, sequence, len(batch))
 
     def query(self, message: bytes) -> bytes:
         """Send one request that has one answer and return that, header included.
@@ -72,12 +85,15 @@ class NetlinkSocket:
         Raises:
             NetlinkError: The kernel refused.
         """
-        self._sock.sendto(message, (0, 0))
-        for kind, answer in _split(self._sock.recv(1 << 16)):
-            if kind == NLMSG_ERROR:
-                raise _error(answer, 0)
-            return answer
-        raise OSError("netlink: an empty answer")
+        sequence = self._reserve(1)
+        self._sock.sendto(_numbered(message, sequence), (0, 0))
+        while True:
+            for kind, number, answer in _split(self._sock.recv(1 << 16)):
+                if number != sequence:
+                    continue
+                if kind == NLMSG_ERROR:
+                    raise _error(answer, 0)
+                return answer
 
     def dump(self, message: bytes) -> list[bytes]:
         """Send one dump request and return the messages of the answer, headers included.
@@ -85,43 +101,56 @@ class NetlinkSocket:
         Raises:
             NetlinkError: The kernel refused.
         """
-        self._sock.sendto(message, (0, 0))
+        sequence = self._reserve(1)
+        self._sock.sendto(_numbered(message, sequence), (0, 0))
         answers: list[bytes] = []
         while True:
-            for kind, answer in _split(self._sock.recv(1 << 18)):
+            for kind, number, answer in _split(self._sock.recv(1 << 18)):
+                if number != sequence:
+                    continue
                 if kind == NLMSG_DONE:
                     return answers
                 if kind == NLMSG_ERROR:
                     raise _error(answer, 0)
                 answers.append(answer)
 
-    def _send(self, batch: Sequence[bytes]) -> None:
+    def _reserve(self, count: int) -> int:
+        """The first of ``count`` successive numbers: an answer to anything older is never taken for a newer one."""
+        first = self._sequence if self._sequence + count <= _SEQUENCE_END else 0
+        self._sequence = first + count
+        return first
+
+    def _send(self, batch: Sequence[bytes], sequence: int) -> None:
         data = bytearray()
-        for number, message in enumerate(batch):
-            start = len(data)
-            data += message
-            length, kind, flags, _, port = HEADER.unpack_from(message)
-            HEADER.pack_into(data, start, length, kind, flags | NLM_F_ACK, number, port)
+        for number, message in enumerate(batch, start=sequence):
+            data += _numbered(message, number, NLM_F_ACK)
             data += bytes(-len(data) % 4)
         self._sock.sendto(data, (0, 0))
 
-    def _check_answers(self, first: int, count: int) -> None:
+    def _check_answers(self, first: int, sequence: int, count: int) -> None:
         failure: NetlinkError | None = None
-        while count:
-            for kind, answer in _split(self._sock.recv(1 << 16)):
-                if kind != NLMSG_ERROR:
+        left = count
+        while left:
+            for kind, number, answer in _split(self._sock.recv(1 << 16)):
+                position = number - sequence
+                if kind != NLMSG_ERROR or not 0 <= position < count:
                     continue
-                count -= 1
+                left -= 1
                 if failure is None and _ERROR.unpack_from(answer, HEADER.size)[0]:
-                    failure = _error(answer, first)
+                    failure = _error(answer, first + position)
         if failure is not None:
             raise failure
 
 
-def _batches(messages: Sequence[bytes]) -> Iterator[tuple[int, Sequence[bytes]]]:
+def _numbered(message: bytes, number: int, flags: int = 0) -> bytes:
+    length, kind, old_flags, _, port = HEADER.unpack_from(message)
+    return HEADER.pack(length, kind, old_flags | flags, number, port) + message[HEADER.size :]
+
+
+def _batches(messages: Sequence[bytes], most: int, most_bytes: int) -> Iterator[tuple[int, Sequence[bytes]]]:
     first = size = 0
     for position, message in enumerate(messages):
-        if position > first and (position - first == _BATCH_MESSAGES or size + len(message) > _BATCH_BYTES):
+        if position > first and (position - first == most or size + len(message) > most_bytes):
             yield first, messages[first:position]
             first, size = position, 0
         size += len(message)
@@ -129,25 +158,26 @@ def _batches(messages: Sequence[bytes]) -> Iterator[tuple[int, Sequence[bytes]]]
         yield first, messages[first:]
 
 
-def _split(data: bytes) -> Iterator[tuple[int, bytes]]:
+def _split(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Type, sequence number and bytes of each message."""
     start = 0
     while start + HEADER.size <= len(data):
-        length, kind, _, _, _ = HEADER.unpack_from(data, start)
-        yield kind, data[start : start + length]
+        length, kind, _, number, _ = HEADER.unpack_from(data, start)
+        yield kind, number, data[start : start + length]
         start += (length + 3) & ~3
 
 
-def _error(answer: bytes, first: int) -> NetlinkError:
+def _error(answer: bytes, position: int) -> NetlinkError:
     flags = HEADER.unpack_from(answer)[2]
     (number,) = _ERROR.unpack_from(answer, HEADER.size)
-    length, _, _, sequence, _ = HEADER.unpack_from(answer, HEADER.size + _ERROR.size)
+    length = HEADER.unpack_from(answer, HEADER.size + _ERROR.size)[0]
     reason = ""
     if flags & _NLM_F_ACK_TLVS:
         echoed = HEADER.size if flags & _NLM_F_CAPPED else length
         reason = (
             attributes(answer, HEADER.size + _ERROR.size + ((echoed + 3) & ~3)).get(_NLMSGERR_ATTR_MSG, b"").decode()
         )
-    return NetlinkError(-number, first + sequence, reason.rstrip("\0"))
+    return NetlinkError(-number, position, reason.rstrip("\0"))
 
 
 def attributes(data: bytes, start: int) -> dict[int, bytes]:
