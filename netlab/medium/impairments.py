@@ -73,6 +73,7 @@ class Impairment:
 
     ``limit_packets`` and ``limit_bytes`` count what waits for its departure, delayed frames included; the one that is
     None does not limit. ``reorder_ratio`` of every ``reorder_gap``-th frame leaves at once, ahead of the delayed ones.
+    ``rssi_dbm`` is how strongly an 802.11 receiver hears the sender (None: the driver's default); nobody else uses it.
     """
 
     delay_s: float = 0.0
@@ -90,6 +91,7 @@ class Impairment:
     rate_bps: float | None = None
     limit_packets: int | None = 1000
     limit_bytes: int | None = None
+    rssi_dbm: float | None = None
 
 
 PERFECT = Impairment()

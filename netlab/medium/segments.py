@@ -33,11 +33,38 @@ class Port:
     monitor: bool = False
 
 
+class WifiMode(StrEnum):
+    """How 802.11 radios form a network: 802.11s with its own path selection, or ad hoc between neighbours."""
+
+    MESH = "mesh"
+    IBSS = "ibss"
+
+
+@dataclass(frozen=True, slots=True)
+class Wifi:
+    """A segment whose ports are real 802.11 interfaces of the kernel (mac80211_hwsim).
+
+    ``network`` is the mesh identifier or the SSID (1..32 bytes in UTF-8), ``frequency_mhz`` the channel's centre,
+    ``retry_limit`` the most attempts per unicast frame, at least 1. With ``monitor`` every node also has an interface
+    that hears all frames with their radiotap header.
+    """
+
+    mode: WifiMode
+    network: str
+    frequency_mhz: int
+    retry_limit: int
+    monitor: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Ports that share a medium. A pair (sender, receiver) that is missing from ``pairs`` is out of range."""
+    """Ports that share a medium. A pair (sender, receiver) that is missing from ``pairs`` is out of range.
+
+    With ``wifi`` the ports are 802.11 interfaces and their frames go through :mod:`netlab.medium.wifi`.
+    """
 
     name: str
     kind: SegmentKind
     ports: tuple[int, ...]
     pairs: Mapping[tuple[int, int], Impairment]
+    wifi: Wifi | None = None

@@ -188,3 +188,5 @@ PositiveSeconds = Annotated[float, Quantity(DURATION, maximum=_MOST_S, above_min
 BitsPerSecond = Annotated[float, Quantity(RATE, above_minimum=True)]
 Ratio = Annotated[float, Quantity(RATIO, maximum=1.0)]
 Hertz = Annotated[float, Quantity(FREQUENCY, above_minimum=True)]
+#: How strongly a radio is heard: from below any receiver's noise to one metre away.
+Dbm = Annotated[float, Quantity(POWER, minimum=-110.0, maximum=0.0)]

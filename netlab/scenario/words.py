@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInf
 from pydantic_core import CoreSchema
 
 from netlab.scenario.base import StrictModel
-from netlab.scenario.quantities import SIZE, BitsPerSecond, Ratio, Seconds, describe
+from netlab.scenario.quantities import SIZE, BitsPerSecond, Dbm, Ratio, Seconds, describe
 
 #: Validation context: a function from a file name in the scenario to that file's text. Raises OSError.
 ReadText = Callable[[str], str]
@@ -180,6 +180,7 @@ class Words(StrictModel):
     corrupt: Chance | None = None
     rate_bps: BitsPerSecond | None = Field(default=None, alias="rate")
     limit: Limit | None = None
+    rssi_dbm: Dbm | None = Field(default=None, alias="rssi")
 
     def given(self) -> dict[str, object]:
         """The words that are given, by attribute name."""

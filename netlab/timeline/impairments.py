@@ -22,7 +22,7 @@ from netlab.scenario.words import Loss, Words
 def impairment(words: Words, base: Impairment = PERFECT) -> Impairment:
     """Return what ``words`` mean, laid over ``base``; the default is netem's (no effect, 1000 packets of queue)."""
     values: dict[str, Any] = {}
-    for name in ("delay_s", "jitter_s", "delay_correlation", "rate_bps"):
+    for name in ("delay_s", "jitter_s", "delay_correlation", "rate_bps", "rssi_dbm"):
         if (value := getattr(words, name)) is not None:
             values[name] = value
     for name in ("duplicate", "reorder", "corrupt"):

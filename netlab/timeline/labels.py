@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import DURATION, RATE, RATIO
+from netlab.scenario.quantities import DURATION, POWER, RATE, RATIO
 from netlab.scenario.words import Words
 
 
@@ -21,6 +21,7 @@ def words_text(words: Words) -> str:
         ("jitter", words.jitter_s, DURATION),
         ("delay_correlation", words.delay_correlation, RATIO),
         ("rate", words.rate_bps, RATE),
+        ("rssi", words.rssi_dbm, POWER),
     ):
         if value is not None:
             parts.append(f"{key} {dimension.format(value)}")
