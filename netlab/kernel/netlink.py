@@ -44,10 +44,10 @@ class NetlinkError(OSError):
 
 
 class NetlinkSocket:
-    """A NETLINK_ROUTE socket in the namespace of the thread that makes it."""
+    """A netlink socket, by default NETLINK_ROUTE, in the namespace of the thread that makes it."""
 
-    def __init__(self) -> None:
-        self._sock = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.NETLINK_ROUTE)
+    def __init__(self, protocol: int = socket.NETLINK_ROUTE) -> None:
+        self._sock = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, protocol)
         for option in (_NETLINK_CAP_ACK, _NETLINK_EXT_ACK):
             self._sock.setsockopt(_SOL_NETLINK, option, 1)
         for option in (_SO_SNDBUFFORCE, _SO_RCVBUFFORCE):
