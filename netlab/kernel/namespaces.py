@@ -9,8 +9,14 @@ from pathlib import Path
 
 from netlab.kernel.syscalls import CLONE_NEWNET, setns, unshare
 
-# Duplicate address detection and router solicitations are frames that no scenario asked for.
-_QUIET_IPV6 = ("accept_dad", "router_solicitations")
+# Duplicate address detection and router solicitations are frames that no scenario asked for. The multicast reports of a
+# new interface come at random in their interval, otherwise up to seconds into the scenario, where each would draw a loss.
+_QUIET_IPV6 = {
+    "accept_dad": b"0",
+    "router_solicitations": b"0",
+    "mldv1_unsolicited_report_interval": b"1",  # ms
+    "mldv2_unsolicited_report_interval": b"1",
+}
 
 
 def open_current() -> int:
@@ -36,10 +42,10 @@ def enter_new() -> int:
         OSError: Not permitted, or a limit in /proc/sys/user is reached.
     """
     unshare(CLONE_NEWNET)
-    for name in _QUIET_IPV6:
+    for name, value in _QUIET_IPV6.items():
         # /proc/sys/net shows the reader's own namespace. Read-only /proc/sys or no IPv6: a little noise or none.
         with contextlib.suppress(OSError):
-            _write(f"/proc/sys/net/ipv6/conf/default/{name}", b"0")
+            _write(f"/proc/sys/net/ipv6/conf/default/{name}", value)
     return open_current()
 
 

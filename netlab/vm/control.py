@@ -95,9 +95,10 @@ class Answers:
         return "The console said nothing."
 
     def close(self) -> None:
-        """Close what was opened for reading."""
+        """Close what was opened for reading; nothing is forwarded after that."""
         for source in self._sources.values():
             source.close()
+        self._sources, self._streams = {}, {}
 
     def _source(self, name: str) -> BinaryIO | None:
         if name not in self._sources:

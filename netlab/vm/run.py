@@ -45,7 +45,7 @@ def run_in_box(
     kernel: Kernel | None = None,
     boot_limit_s: float | None = None,
 ) -> BoxResult:
-    """Run a command in a throw-away kernel over the host's own root file system.
+    """Run a command in a throw-away kernel over the host's own root file system, to its end.
 
     The command runs as root of the guest; what it may read and write of the host is what the caller may. All that it
     writes is lost, except below ``request.output``.
@@ -59,6 +59,23 @@ def run_in_box(
     Raises:
         BoxError: The box cannot start, or broke before the command ended.
     """
+    with open_box(request, streams, kernel=kernel, boot_limit_s=boot_limit_s) as box:
+        return box.result()
+
+
+@contextlib.contextmanager
+def open_box(
+    request: BoxRequest,
+    streams: Streams | None = None,
+    *,
+    kernel: Kernel | None = None,
+    boot_limit_s: float | None = None,
+) -> Iterator[Box]:
+    """Start a command as :func:`run_in_box` does, and go on beside it; leaving the block ends the box.
+
+    Raises:
+        BoxError: The box cannot start.
+    """
     fitness.check_outside()
     output = places.check_output(request.output)
     chosen = kernel or kernels.select(request.kernel, request.clock)
@@ -70,8 +87,12 @@ def run_in_box(
         write_job(folder, request, chosen, output)
         argv = [PLAIN if chosen.guests_die else NAMESPACE, *_command_line(chosen, folder, request, output)]
         limit_s = BOOT_LIMIT_S[chosen.emulator] if boot_limit_s is None else boot_limit_s
-        box = _Box(folder, argv, streams or Streams(sys.stdout.buffer, sys.stderr.buffer), held)
-        return box.run(request, chosen, limit_s, (*chosen.notes, *notes))
+        limits = _Limits(boot_s=min(limit_s, request.timeout_s), end_s=request.timeout_s)
+        box = Box(folder, argv, streams or Streams(sys.stdout.buffer, sys.stderr.buffer), held, limits, chosen, notes)
+        try:
+            yield box
+        finally:
+            box.close()
 
 
 @contextlib.contextmanager
@@ -94,11 +115,32 @@ def _command_line(kernel: Kernel, folder: Path, request: BoxRequest, output: Pat
     )
 
 
-class _Box:
-    """A booted box, from the host's side."""
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """Seconds of the host's clock since the start."""
 
-    def __init__(self, folder: Path, argv: list[str], streams: Streams, held: int) -> None:
+    boot_s: float
+    end_s: float
+
+
+class Box:
+    """A box under way, from the host's side. Nothing need be called for the command to go on."""
+
+    def __init__(
+        self,
+        folder: Path,
+        argv: list[str],
+        streams: Streams,
+        held: int,
+        limits: _Limits,
+        kernel: Kernel,
+        notes: tuple[str, ...],
+    ) -> None:
         self._began_s = time.monotonic()
+        self._limits = limits
+        self._kernel = kernel
+        self._notes = (*kernel.notes, *notes)
+        self._boot_s: float | None = None
         self._answers = Answers(folder, {"stdout": streams.stdout, "stderr": streams.stderr})
         keeper = [sys.executable, "-m", "netlab.vm.keeper", str(folder), *argv]
         with (folder / CONSOLE).open("wb") as console:
@@ -111,34 +153,56 @@ class _Box:
                 pass_fds=(held,),
             )
 
-    def run(self, request: BoxRequest, kernel: Kernel, boot_limit_s: float, notes: tuple[str, ...]) -> BoxResult:
+    def wait(self, condition: Callable[[], bool]) -> bool:
+        """Forward output until the condition holds; False when the command has ended, or was out of time, without it.
+
+        Raises:
+            BoxError: The box does not start.
+        """
+        self._boot()
+        self._wait(lambda: condition() or self._answers.status() is not None, self._limits.end_s)
+        return condition()
+
+    def result(self) -> BoxResult:
+        """Wait for the command's end, or its time limit's, and end the box.
+
+        Raises:
+            BoxError: The box does not start, or broke before the command ended.
+        """
         try:
-            boot_s = self._boot(min(boot_limit_s, request.timeout_s), kernel)
-            status = self._serve(request.timeout_s)
+            boot_s = self._boot()
+            status = self._serve()
         finally:
-            self._end()
-            self._answers.forward()
-            self._answers.close()
+            self.close()
         code = TIMED_OUT if status is None else status.exit_code
         guest_s = None if status is None else status.guest_s
-        return BoxResult(code, kernel.label, boot_s, self._elapsed_s, guest_s, notes)
+        return BoxResult(code, self._kernel.label, boot_s, self._elapsed_s, guest_s, self._notes)
+
+    def close(self) -> None:
+        """End the box, whatever it is doing; idempotent."""
+        self._end()
+        self._answers.forward()
+        self._answers.close()
 
     @property
     def _elapsed_s(self) -> float:
         return time.monotonic() - self._began_s
 
-    def _boot(self, limit_s: float, kernel: Kernel) -> float:
+    def _boot(self) -> float:
         """Wait until the guest's init runs; returns how long that took."""
-        if not self._wait(lambda: self._answers.started, limit_s):
-            ended = self._keeper.poll() is not None
-            how = f"ended at once (exit code {self._keeper.poll()})" if ended else f"did not start within {limit_s:g} s"
-            self._end()
-            raise BoxError(f"the box ({kernel.label}) {how}. {self._answers.console_tail()}")
-        return self._elapsed_s
+        if self._boot_s is None:
+            limit_s = self._limits.boot_s
+            if not self._wait(lambda: self._answers.started, limit_s):
+                code = self._keeper.poll()
+                how = f"did not start within {limit_s:g} s" if code is None else f"ended at once (exit code {code})"
+                self._end()
+                raise BoxError(f"the box ({self._kernel.label}) {how}. {self._answers.console_tail()}")
+            self._boot_s = self._elapsed_s
+        return self._boot_s
 
-    def _serve(self, timeout_s: float) -> Status | None:
+    def _serve(self) -> Status | None:
         """Forward output until the command ends; None if the time limit ended it."""
-        self._wait(lambda: self._answers.status() is not None, timeout_s)
+        self._wait(lambda: self._answers.status() is not None, self._limits.end_s)
         status = self._answers.status()
         if status is None and self._keeper.poll() is not None:
             code = self._keeper.returncode
@@ -159,7 +223,7 @@ class _Box:
             time.sleep(_POLL_S)
 
     def _end(self) -> None:
-        """Cut the lifeline: the keeper kills what is left and goes."""
+        """Cut the lifeline: the keeper kills what is left and goes. Idempotent."""
         assert self._keeper.stdin is not None
         self._keeper.stdin.close()
         try:
