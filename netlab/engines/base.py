@@ -6,21 +6,39 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from netlab.medium.impairments import Impairment
+from netlab.medium.meshes import MeshInterface
 from netlab.medium.segments import Port, Segment
 
 
 @dataclass(frozen=True, slots=True)
 class LabPlan:
-    """Everything static that an engine builds. ``ports[i].index == i``; nodes are in scenario order."""
+    """Everything static that an engine builds. ``ports[i].index == i``; nodes are in scenario order.
+
+    ``meshes`` are no engine's business: :mod:`netlab.engines.mesh_interfaces` makes them on top of the ports.
+    """
 
     name: str
     seed: int
     nodes: tuple[str, ...]
     ports: tuple[Port, ...]
     segments: tuple[Segment, ...]
+    meshes: tuple[MeshInterface, ...] = ()
 
 
 Pair = tuple[int, int]  # (sender port, receiver port)
+
+
+@dataclass(frozen=True, slots=True)
+class PairCounters:
+    """What the kernel counted of one directed pair since bring-up, in frames, where nobody decides frame by frame.
+
+    ``queue_full``: found the queue at its limit; None if that cannot be told from other losses. ``waiting``: in the
+    queue now. ``reordered``: left at once, ahead of the delayed ones.
+    """
+
+    queue_full: int | None
+    waiting: int
+    reordered: int
 
 
 class Engine(Protocol):
@@ -51,6 +69,9 @@ class Engine(Protocol):
 
     def record_verdicts(self, fd: int) -> None:
         """Write one ``VERDICT_RECORD`` per decision to this stream socket from now on (``air`` only)."""
+
+    def pair_counters(self) -> dict[Pair, PairCounters]:
+        """Counts of every pair since bring-up; empty where verdicts tell more (``air``)."""
 
     def problem(self) -> str | None:
         """What has gone wrong since the start, for a person; None if nothing."""

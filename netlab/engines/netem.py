@@ -6,25 +6,27 @@ Owns the devices between the far ends of the nodes' veths and keeps their qdiscs
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Iterable
 
 from netlab.engines import netem_plan
-from netlab.engines.base import LabPlan, Pair
+from netlab.engines.base import LabPlan, Pair, PairCounters
+from netlab.engines.netem_counters import Counters
 from netlab.engines.netem_plan import Device, Entry, Exit, Far
+from netlab.engines.netem_qdiscs import INSTEAD, Qdiscs, refusal
 from netlab.errors import MachineError
 from netlab.kernel import pairs as pair_veths
 from netlab.kernel import tc
 from netlab.kernel.links import delete_group
-from netlab.kernel.netem import uses_table
+from netlab.kernel.netem import narrow_limit
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.kernel.probe import TcFeatures, tc_features
 from netlab.kernel.wiring import VethSpec, Wiring, build
 from netlab.medium.impairments import Impairment
 
 _log = logging.getLogger(__name__)
-_INSTEAD = "use `--engine air`, which needs no kernel support"
 
 
 class NetemEngine:
@@ -40,16 +42,16 @@ class NetemEngine:
         """
         found = netem_plan.problems(plan)
         if found:
-            raise MachineError("the netem engine cannot do this; " + _INSTEAD + ":\n" + "\n".join(found))
+            raise MachineError("the netem engine cannot do this; " + INSTEAD + ":\n" + "\n".join(found))
         self._plan = plan
         self._layout = netem_plan.compile_plan(plan)
         self._impairments = dict(self._layout.impairments)
         self._outages: set[Pair] = set()
-        self._in_force: dict[Pair, Impairment] = {}
-        self._generation: dict[Pair, int] = {}
-        self._has_table: set[Pair] = set()
+        self._unplugged: set[int] = set()
         self._wiring: Wiring | None = None
         self._sock: NetlinkSocket | None = None
+        self._qdiscs: Qdiscs | None = None
+        self._counters: Counters | None = None
         self._group: int | None = None
         self._ifindex: dict[Device, int] = {}
 
@@ -82,7 +84,7 @@ class NetemEngine:
         """Change pairs at once; None takes a pair out of range.
 
         Raises:
-            MachineError: sch_netem cannot express one of them (then none is changed), or the kernel refuses.
+            MachineError: sch_netem cannot express one of them, or the kernel refuses one; then none is changed.
             ValueError: Unknown pair.
         """
         self._up()
@@ -90,29 +92,61 @@ class NetemEngine:
         found = [netem_plan.inexpressible_pair(self._plan, pair, imp) for pair, imp in changes.items()]
         refused = [text for text in found if text is not None]
         if refused:
-            raise MachineError("the netem engine cannot do this; " + _INSTEAD + ":\n" + "\n".join(refused))
+            raise MachineError("the netem engine cannot do this; " + INSTEAD + ":\n" + "\n".join(refused))
+        for pair, impairment in changes.items():
+            if impairment is not None and (text := narrow_limit(impairment)) is not None:
+                _log.warning("%s: %s", netem_plan.pair_name(self._plan, pair), text)
+        self._change({pair: netem_plan.effective(imp, outage=pair in self._outages) for pair, imp in changes.items()})
         self._impairments.update(changes)
-        self._apply(changes)
 
     def set_outage(self, pairs: set[Pair], *, active: bool) -> None:
         """Lose everything on ``pairs`` silently, or end that; frames in the queues still arrive.
 
         Raises:
-            MachineError: The kernel refuses.
+            MachineError: The kernel refuses one; then none is changed.
             ValueError: Unknown pair.
         """
         self._up()
         self._check_known(pairs)
+        self._change({pair: netem_plan.effective(self._impairments[pair], outage=active) for pair in pairs})
         self._outages = self._outages | pairs if active else self._outages - pairs
-        self._apply(pairs)
 
     def set_carrier(self, ports: set[int], *, up: bool) -> None:
-        """Pull or plug the cable at these ports; what waits in a pulled port's queue is lost."""
-        self._up()[0].set_peers(sorted(ports), up=up)
+        """Pull or plug the cable at these ports; what waits in a pulled port's queue is lost.
+
+        Raises:
+            MachineError: The kernel refuses one; then all are as before.
+        """
+        wiring, counters = self._up()[0], self._counters
+        changing = sorted(port for port in ports if (port in self._unplugged) == up)
+        assert counters is not None  # it is up
+        try:
+            with counters.around_carrier(changing, up=up):
+                wiring.set_peers(changing, up=up)
+        except OSError as error:
+            for port in changing:
+                with contextlib.suppress(OSError):
+                    wiring.set_peers([port], up=not up)
+            names = ", ".join(f"{self._plan.ports[port].node} {self._plan.ports[port].ifname}" for port in changing)
+            raise MachineError(f"carrier of {names}: the kernel refuses: {error}; nothing has been changed") from error
+        self._unplugged = self._unplugged.difference(changing) if up else self._unplugged.union(changing)
 
     def record_verdicts(self, fd: int) -> None:
         """Nothing is ever written: the kernel does not tell which frame it dropped, or why. The caller keeps ``fd``."""
         _log.info("the netem engine cannot record radio verdicts: the kernel keeps them to itself")
+
+    def pair_counters(self) -> dict[Pair, PairCounters]:
+        """What the kernel counted of every pair since bring-up.
+
+        Raises:
+            MachineError: The kernel does not say.
+        """
+        self._up()
+        assert self._counters is not None  # it is up
+        try:
+            return self._counters.read()
+        except OSError as error:
+            raise MachineError(f"the kernel does not tell its counters: {error}") from error
 
     def problem(self) -> str | None:
         """Always None: nothing of this engine runs outside the kernel."""
@@ -135,15 +169,15 @@ class NetemEngine:
         self._group = made.group
         for pair, (near, far) in zip(self._layout.pair_veths, made.indices, strict=True):
             self._ifindex[Entry(pair)], self._ifindex[Exit(pair)] = near, far
-        self._request(*self._start_orders(classifier))
+        shapes = {pair: self._ifindex[device] for pair, device in self._layout.shapes.items()}
+        self._qdiscs = Qdiscs(self._plan, self._sock, shapes)
+        self._start(self._qdiscs, classifier)
+        self._counters = Counters(self._sock, shapes, dict(enumerate(self._wiring.peer_ifindex)))
 
-    def _start_orders(self, classifier: tc.Classifier) -> tuple[list[bytes], list[str]]:
-        orders, labels = [], []
-        for pair, device in self._layout.shapes.items():
-            impairment = netem_plan.effective(self._impairments[pair], outage=False)
-            orders.append(tc.add_netem(self._ifindex[device], impairment, seed=self._next_seed(pair)))
-            labels.append(self._label(pair, impairment))
-            self._note(pair, impairment)
+    def _start(self, qdiscs: Qdiscs, classifier: tc.Classifier) -> None:
+        """One batch for all qdiscs and filters."""
+        wanted = {pair: netem_plan.effective(imp, outage=False) for pair, imp in self._impairments.items()}
+        orders, labels = qdiscs.creation(wanted)
         for device in dict.fromkeys(rule.device for rule in self._layout.rules):
             orders.append(tc.add_clsact(self._ifindex[device]))
             labels.append(f"ingress of {device}")
@@ -154,45 +188,14 @@ class NetemEngine:
                 tc.add_filter(index, rule.priority, rule.match, targets, classifier=classifier, last=rule.last)
             )
             labels.append(f"filter at {rule.device}")
-        return orders, labels
-
-    def _apply(self, changed: Iterable[Pair]) -> None:
-        """One batch; a pair that is as it should be is left alone: a change restarts netem's loss model."""
-        orders, labels, sent = [], [], {}
-        for pair in changed:
-            wanted = netem_plan.effective(self._impairments[pair], outage=pair in self._outages)
-            if wanted == self._in_force.get(pair):
-                continue
-            index = self._ifindex[self._layout.shapes[pair]]
-            replace_table = pair in self._has_table
-            orders.append(tc.change_netem(index, wanted, seed=self._next_seed(pair), replace_table=replace_table))
-            labels.append(self._label(pair, wanted))
-            sent[pair] = wanted
-            # Until the kernel has answered, nobody knows what is in force; then the next call tells it again.
-            self._in_force.pop(pair, None)
-        self._request(orders, labels)
-        for pair, wanted in sent.items():
-            self._note(pair, wanted)
-
-    def _note(self, pair: Pair, impairment: Impairment) -> None:
-        self._in_force[pair] = impairment
-        if uses_table(impairment):
-            self._has_table.add(pair)
-
-    def _next_seed(self, pair: Pair) -> int:
-        generation = self._generation[pair] = self._generation.get(pair, -1) + 1
-        return netem_plan.pair_seed(self._plan.seed, pair, generation)
-
-    def _label(self, pair: Pair, impairment: Impairment) -> str:
-        # net/sched/sch_netem.c since 6.16 refuses duplication where a device has another netem.
-        hint = " (some kernels refuse to duplicate frames)" if impairment.duplicate_ratio > 0 else ""
-        return f"netem for {netem_plan.pair_name(self._plan, pair)}{hint}"
-
-    def _request(self, orders: list[bytes], labels: list[str]) -> None:
         try:
             self._up()[1].request(orders)
         except NetlinkError as error:
-            raise MachineError(f"{labels[error.position]}: the kernel refuses: {error.strerror}; {_INSTEAD}") from error
+            raise MachineError(refusal(labels[error.position], error)) from error
+
+    def _change(self, wanted: dict[Pair, Impairment]) -> None:
+        assert self._qdiscs is not None  # it is up
+        self._qdiscs.change(wanted)
 
     def _check_known(self, named: Iterable[Pair]) -> None:
         unknown = sorted(set(named) - self._layout.shapes.keys())
@@ -206,7 +209,8 @@ class NetemEngine:
             self._sock.close()
         if self._wiring is not None:
             self._wiring.close()
-        self._sock = self._wiring = self._group = None
+        self._sock = self._wiring = self._group = self._qdiscs = self._counters = None
+        self._unplugged = set()
         self._ifindex = {}
 
 
@@ -233,9 +237,9 @@ def choose_classifier(features: TcFeatures) -> tc.Classifier:
         MachineError: No sch_netem, or neither classifier.
     """
     if features.netem_problem is not None:
-        raise MachineError(f"the netem engine cannot run: {features.netem_problem}; {_INSTEAD}")
+        raise MachineError(f"the netem engine cannot run: {features.netem_problem}; {INSTEAD}")
     if not features.classifiers:
-        raise MachineError(f"the netem engine cannot run: this kernel has neither cls_flower nor cls_u32; {_INSTEAD}")
+        raise MachineError(f"the netem engine cannot run: this kernel has neither cls_flower nor cls_u32; {INSTEAD}")
     return features.classifiers[0]
 
 
