@@ -87,7 +87,7 @@ class FragmentRetransmitted:
 
 @dataclass(frozen=True, slots=True)
 class MessageAcked:
-    """The peer has received the whole message. ``latency_s``: since it was published."""
+    """The peer has received the whole message. ``latency_s``: since its publication. ``token``: the publisher's own."""
 
     now: float
     message_id: int
@@ -95,11 +95,15 @@ class MessageAcked:
     priority: int
     peer: str
     latency_s: float
+    token: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class MessageDelivered:
-    """A whole message from ``source`` for the applications of this node, once per message id and epoch."""
+    """A whole message from ``source`` for the applications of this node, once per message id and epoch.
+
+    ``flags``: ``wire.DATA_FLAG_ENVELOPE`` if the payload begins with an envelope.
+    """
 
     now: float
     message_id: int
@@ -107,11 +111,12 @@ class MessageDelivered:
     priority: int
     source: str
     payload: bytes
+    flags: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class MessageDropped:
-    """A message of this node ended without a confirmed delivery to ``peer``."""
+    """A message of this node ended without a confirmed delivery to ``peer``. ``token``: the publisher's own."""
 
     now: float
     message_id: int
@@ -120,6 +125,7 @@ class MessageDropped:
     size_bytes: int
     peer: str
     reason: DropReason
+    token: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,6 +106,8 @@ class MeshCore:
         to: str,
         policy: TopicPolicy | None = None,
         may_drop: bool = True,
+        flags: int = 0,
+        token: int = 0,
         now: float,
     ) -> int:
         """Queue a message for the node named ``to``, or for ``all``; return its message id.
@@ -116,6 +118,8 @@ class MeshCore:
             to: A node's name, or ``all``.
             policy: Overrides the topic's configured policy.
             may_drop: Whether a full queue makes room by dropping; otherwise it refuses.
+            flags: ``wire.DATA_FLAG_ENVELOPE`` if the payload begins with an envelope.
+            token: Comes back in the events that tell what has become of the message.
             now: Monotonic seconds.
 
         Raises:
@@ -124,7 +128,9 @@ class MeshCore:
         self._now = now
         try:
             chosen = policy or self._state.settings.policy(topic)
-            return self._outbox.publish(topic, payload, to=to, policy=chosen, may_drop=may_drop, now=now)
+            return self._outbox.publish(
+                topic, payload, to=to, policy=chosen, may_drop=may_drop, flags=flags, token=token, now=now
+            )
         except Refused as refusal:
             self._state.counters[f"refused_{refusal.reason.value}"] += 1
             raise

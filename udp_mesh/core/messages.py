@@ -19,18 +19,29 @@ class Message:
         "_rest_bytes",
         "deadline_s",
         "first_bytes",
+        "flags",
         "fragment_count",
         "message_id",
         "payload",
         "policy",
         "queued_at_s",
         "size_bytes",
+        "token",
         "topic",
         "topic_bytes",
     )
 
     def __init__(
-        self, message_id: int, topic: str, payload: bytes, policy: TopicPolicy, *, datagram_bytes: int, now: float
+        self,
+        message_id: int,
+        topic: str,
+        payload: bytes,
+        policy: TopicPolicy,
+        *,
+        datagram_bytes: int,
+        flags: int = 0,
+        token: int = 0,
+        now: float,
     ) -> None:
         self.message_id = message_id
         self.topic = topic
@@ -38,6 +49,8 @@ class Message:
         self.payload = memoryview(payload)
         self.size_bytes = len(payload)
         self.policy = policy
+        self.flags = flags
+        self.token = token
         self.queued_at_s = now
         self.deadline_s = None if policy.lifetime_s is None else now + policy.lifetime_s
         self._rest_bytes = datagram_bytes - wire.HEADER_BYTES - wire.DATA_BYTES
@@ -71,6 +84,7 @@ class Message:
             count=self.fragment_count,
             payload_bytes=end - start,
             topic=self.topic_bytes,
+            flags=self.flags,
         )
         return header, self.payload[start:end]
 

@@ -45,7 +45,18 @@ class Outbox:
         self._deadlines: list[tuple[float, int, Transfer]] = []
         self._compact_at = _COMPACT_FROM
 
-    def publish(self, topic: str, payload: bytes, *, to: str, policy: TopicPolicy, may_drop: bool, now: float) -> int:
+    def publish(
+        self,
+        topic: str,
+        payload: bytes,
+        *,
+        to: str,
+        policy: TopicPolicy,
+        may_drop: bool,
+        flags: int = 0,
+        token: int = 0,
+        now: float,
+    ) -> int:
         """Queue a message; return its id.
 
         Raises:
@@ -59,8 +70,16 @@ class Outbox:
             raise Refused(RefusalReason.BAD_POLICY)
         if len(payload) > min(MAX_MESSAGE_BYTES, state.settings.queue_bytes):
             raise Refused(RefusalReason.TOO_LARGE)
-        datagram_bytes = state.settings.payload_bytes
-        message = Message(state.next_message_id, topic, payload, policy, datagram_bytes=datagram_bytes, now=now)
+        message = Message(
+            state.next_message_id,
+            topic,
+            payload,
+            policy,
+            datagram_bytes=state.settings.payload_bytes,
+            flags=flags,
+            token=token,
+            now=now,
+        )
         if message.fragment_count > wire.MAX_FRAGMENTS:
             raise Refused(RefusalReason.TOO_LARGE)
         lanes = self._lanes(message, to, now=now)
@@ -177,6 +196,7 @@ class Outbox:
                 message.size_bytes,
                 transfer.peer,
                 reason,
+                message.token,
             )
         )
 
@@ -191,7 +211,7 @@ class Outbox:
             priority = message.policy.priority
             self._state.counters["messages_acked"] += 1
             self._state.events.append(
-                MessageAcked(now, message.message_id, message.topic, priority, transfer.peer, latency_s)
+                MessageAcked(now, message.message_id, message.topic, priority, transfer.peer, latency_s, message.token)
             )
 
     def sent_broadcast(self, transfer: Transfer) -> None:
@@ -220,6 +240,8 @@ class Outbox:
             bytes(message.payload),
             policy,
             datagram_bytes=self._state.settings.payload_bytes,
+            flags=message.flags,
+            token=message.token,
             now=message.queued_at_s,
         )
         self._add(fresh, lane, now=now)

@@ -18,7 +18,10 @@ class BadDatagram(StrEnum):
 
 
 class DataFragment(NamedTuple):
-    """One piece of a message. ``topic`` is None except in fragment 0. ``payload`` is a view into the datagram."""
+    """One piece of a message. ``topic`` is None except in fragment 0. ``payload`` is a view into the datagram.
+
+    ``flags`` are the message's, the same in every fragment: ``wire.DATA_FLAG_ENVELOPE`` or nothing.
+    """
 
     message_id: int
     priority: int
@@ -26,6 +29,7 @@ class DataFragment(NamedTuple):
     fragment_index: int
     fragment_count: int
     payload: memoryview
+    flags: int = 0
 
 
 class Ack(NamedTuple):

@@ -30,6 +30,7 @@ class Partial:
     priority: int
     reserved_bytes: int
     last_at_s: float
+    flags: int = 0
     topic: str | None = None
     parts: dict[int, bytes] = field(default_factory=dict)
 
@@ -42,6 +43,7 @@ class WholeMessage:
     topic: str
     priority: int
     payload: bytes
+    flags: int = 0
 
 
 class Verdict(Enum):
@@ -81,7 +83,8 @@ class Reassembler:
         partial = self._partials.get(fragment.message_id)
         if partial is None:
             return Verdict.STORED if self._has_room(_reservation(fragment)) else Verdict.NO_MEMORY
-        if (partial.fragment_count, partial.priority) != (fragment.fragment_count, fragment.priority):
+        what = (fragment.fragment_count, fragment.priority, fragment.flags)
+        if (partial.fragment_count, partial.priority, partial.flags) != what:
             return Verdict.CONTRADICTION
         return Verdict.DUPLICATE if fragment.fragment_index in partial.parts else Verdict.STORED
 
@@ -92,10 +95,16 @@ class Reassembler:
             return verdict
         if fragment.fragment_count == 1:
             self._settled.add(fragment.message_id)
-            return WholeMessage(fragment.message_id, fragment.topic or "", fragment.priority, bytes(fragment.payload))
+            return WholeMessage(
+                fragment.message_id,
+                fragment.topic or "",
+                fragment.priority,
+                bytes(fragment.payload),
+                fragment.flags,
+            )
         partial = self._partials.get(fragment.message_id)
         if partial is None:
-            partial = Partial(fragment.fragment_count, fragment.priority, _reservation(fragment), now)
+            partial = Partial(fragment.fragment_count, fragment.priority, _reservation(fragment), now, fragment.flags)
             self._partials[fragment.message_id] = partial
             self._memory.reserved_bytes += partial.reserved_bytes
         partial.parts[fragment.fragment_index] = bytes(fragment.payload)
@@ -107,7 +116,7 @@ class Reassembler:
         self._release(fragment.message_id)
         self._settled.add(fragment.message_id)
         payload = b"".join(partial.parts[index] for index in range(partial.fragment_count))
-        return WholeMessage(fragment.message_id, partial.topic or "", partial.priority, payload)
+        return WholeMessage(fragment.message_id, partial.topic or "", partial.priority, payload, partial.flags)
 
     def settle_below(self, floor: int) -> list[tuple[int, Partial]]:
         """Forget every message below ``floor``, which its sender has settled; return the partial ones."""

@@ -99,7 +99,9 @@ class Receiver:
         if isinstance(result, WholeMessage):
             counters["messages_delivered"] += 1
             self._state.events.append(
-                MessageDelivered(now, result.message_id, result.topic, result.priority, peer.name, result.payload)
+                MessageDelivered(
+                    now, result.message_id, result.topic, result.priority, peer.name, result.payload, result.flags
+                )
             )
             return True
         if result is Verdict.STORED:

@@ -17,6 +17,7 @@ VERSION = 1
 FLAG_UNNUMBERED = 0x01
 FLAG_ACK_NOW = 0x02
 _KNOWN_FLAGS = FLAG_UNNUMBERED | FLAG_ACK_NOW
+DATA_FLAG_ENVELOPE = 0x01  # the message's payload begins with an envelope (udp_mesh/core/envelope.py)
 _HEADER = struct.Struct("!2sBBQIHI")  # magic, version, flags, sender epoch, destination tag, packet number (48 bits)
 _DATA = struct.Struct(
     "!BBBHHIHH"
@@ -59,12 +60,14 @@ def encode_header(*, epoch: int, destination_tag: int, packet_number: int, flags
 
 
 def encode_data_header(
-    *, message_id: int, priority: int, index: int, count: int, payload_bytes: int, topic: bytes = b""
+    *, message_id: int, priority: int, index: int, count: int, payload_bytes: int, topic: bytes = b"", flags: int = 0
 ) -> bytes:
     """Return the bytes before a fragment's payload; ``topic`` (1..255 bytes of UTF-8) only for fragment 0."""
     prefix = bytes([len(topic)]) + topic if index == 0 else b""
     length = len(prefix) + payload_bytes
-    return _DATA.pack(_TYPE_DATA, 0, priority, length, message_id >> 32, message_id & _LOW_32, index, count) + prefix
+    return (
+        _DATA.pack(_TYPE_DATA, flags, priority, length, message_id >> 32, message_id & _LOW_32, index, count) + prefix
+    )
 
 
 def first_fragment_overhead_bytes(topic: bytes) -> int:
@@ -210,7 +213,7 @@ class _Frames:
         end = at + length
         if end > len(view):
             raise _DecodeError(BadDatagram.TRUNCATED)
-        if index >= count or flags:
+        if index >= count or flags & ~DATA_FLAG_ENVELOPE:
             raise _DecodeError(BadDatagram.VALUE)
         topic = None
         if index == 0:
@@ -219,7 +222,8 @@ class _Frames:
                 raise _DecodeError(BadDatagram.VALUE)
             topic = str(view[at + 1 : topic_end], "utf-8")
             at = topic_end
-        self.fragments.append(DataFragment(id_high << 32 | id_low, priority, topic, index, count, view[at:end]))
+        message_id = id_high << 32 | id_low
+        self.fragments.append(DataFragment(message_id, priority, topic, index, count, view[at:end], flags))
         return end
 
     def _ack(self, view: memoryview, at: int) -> int:

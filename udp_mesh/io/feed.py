@@ -54,7 +54,7 @@ def encode_event(event: Event, *, offset_ns: int) -> bytes:
     """
     values: dict[str, object] = {"t_ns": int(event.now * 1e9) + offset_ns, "event": event_name(type(event))}
     for field in dataclasses.fields(event):
-        if field.name not in ("now", "payload"):
+        if field.name not in ("now", "payload", "flags", "token"):
             values[field.name] = getattr(event, field.name)
     if isinstance(event, MessageDelivered):
         values["size_bytes"] = len(event.payload)
