@@ -5,7 +5,8 @@ A pair that the timeline and a person both took down comes back when both have l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, TypeVar
 
@@ -40,24 +41,24 @@ class Links:
 
     def set_pairs(self, changes: dict[Pair, Impairment | None]) -> None:
         """Change pairs."""
-        self._impairments.update(changes)
         self._engine.set_pairs(changes)
+        self._impairments.update(changes)
 
     def set_outage(self, holder: str, pairs: set[Pair], *, active: bool) -> None:
         """Take pairs down silently on behalf of ``holder``, or let go of them."""
-        taken, released = _hold(self._out, holder, pairs, hold=active)
-        if taken:
-            self._engine.set_outage(taken, active=True)
-        if released:
-            self._engine.set_outage(released, active=False)
+        with _holding(self._out, holder, pairs, hold=active) as (taken, released):
+            if taken:
+                self._engine.set_outage(taken, active=True)
+            if released:
+                self._engine.set_outage(released, active=False)
 
     def set_carrier(self, holder: str, ports: set[int], *, up: bool) -> None:
         """Pull or plug cables on behalf of ``holder``."""
-        taken, released = _hold(self._unplugged, holder, ports, hold=not up)
-        if taken:
-            self._engine.set_carrier(taken, up=False)
-        if released:
-            self._engine.set_carrier(released, up=True)
+        with _holding(self._unplugged, holder, ports, hold=not up) as (taken, released):
+            if taken:
+                self._engine.set_carrier(taken, up=False)
+            if released:
+                self._engine.set_carrier(released, up=True)
 
     def between(self, a: str, b: str, *, one_way: bool = False) -> tuple[set[Pair], SegmentKind]:
         """The pairs that join two nodes: their wire's if there is one, else their radios'.
@@ -79,8 +80,9 @@ class Links:
         joined = sorted({self._names(pair)[1] for pair in self._segment_of if self._names(pair)[0] == a})
         raise LabError(f"no link joins '{a}' and '{b}'; '{a}' is linked to {', '.join(joined) or 'nothing'}")
 
-    def describe(self) -> list[dict[str, Any]]:
-        """Every directed pair that is or was in range, as plain values."""
+    def describe(self, *, counters: bool = False) -> list[dict[str, Any]]:
+        """Every directed pair that is or was in range, as plain values; with the engine's counters, if it has any."""
+        counted = self._engine.pair_counters() if counters else {}
         out, unplugged = _held(self._out), _held(self._unplugged)
         rows = []
         for pair, impairment in self._impairments.items():
@@ -101,6 +103,7 @@ class Links:
                     "to": receiver,
                     "state": state,
                     "impairment": asdict(impairment) if impairment is not None else None,
+                    **({"counters": asdict(counted[pair])} if pair in counted else {}),
                 }
             )
         return rows
@@ -109,16 +112,22 @@ class Links:
         return self._plan.ports[pair[0]].node, self._plan.ports[pair[1]].node
 
 
-def _hold(holders: dict[str, set[_T]], holder: str, items: set[_T], *, hold: bool) -> tuple[set[_T], set[_T]]:
-    """Hold items or let go of them; returns what nobody held before and what nobody holds any more."""
-    before = _held(holders)
-    own = holders.setdefault(holder, set())
-    if hold:
-        own.update(items)
-    else:
-        own.difference_update(items)
+@contextlib.contextmanager
+def _holding(
+    holders: dict[str, set[_T]], holder: str, items: set[_T], *, hold: bool
+) -> Iterator[tuple[set[_T], set[_T]]]:
+    """Hold items or let go of them; gives what nobody held before and what nobody holds any more.
+
+    If the body fails, that is, if the engine refuses, nobody holds anything else than before.
+    """
+    before, former = _held(holders), set(holders.setdefault(holder, set()))
+    holders[holder] = former | items if hold else former - items
     after = _held(holders)
-    return after - before, before - after
+    try:
+        yield after - before, before - after
+    except BaseException:
+        holders[holder] = former
+        raise
 
 
 def _held(holders: dict[str, set[_T]]) -> set[_T]:

@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Any
 
 from netlab.engines.base import LabPlan
-from netlab.errors import LabError
+from netlab.errors import LabError, NetlabError
 from netlab.lab.links import Links
 from netlab.lab.process import Process, ProcessSpec, State, describe_status
 from netlab.lab.processes import Processes
@@ -92,7 +92,7 @@ class ScenarioRun:
             await self._sleep_until(entry.at_s)
             try:
                 await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, restores=entry.restores)
-            except LabError as error:
+            except NetlabError as error:
                 self.problems.append(f"{entry.label}: {error}")
         await self._sleep_until(self._scenario.duration_s)
         self._recording.timeline("end", "the scenario's duration is over", at_s=self._scenario.duration_s)

@@ -77,11 +77,11 @@ class Supervisor:
         self._engine_name, self._engine = make_engine(self._options.engine, self.plan, later)
         channel, _pid = start_module("netlab.lab.spawner")
         self._bring_up_s = self._engine.bring_up()
+        self.links = Links(self.plan, self._engine)
         self.recording = self._start_recording()
         self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
         self.processes.open_events = self.recording.open_events
         self.processes.on_line = self.recording.line
-        self.links = Links(self.plan, self._engine)
         self.run = ScenarioRun(self._scenario, self.plan, self.links, self.processes, self.recording)
         self.processes.on_exit = self.run.process_ended
         self.processes.on_lost = lambda: self._fail("the lab's fork server ended; no process is watched any more")
@@ -116,6 +116,7 @@ class Supervisor:
             if verdicts is not None:
                 self._engine.record_verdicts(verdicts)
                 os.close(verdicts)
+            recording.links(self.links.describe(counters=True))
         recording.sync()
         return recording
 
@@ -205,6 +206,11 @@ class Supervisor:
 
     def _close_recording(self) -> None:
         self._notices += self.recording.notices()
+        if self.recording.active:
+            try:
+                self.recording.links(self.links.describe(counters=True))
+            except MachineError as error:
+                self._notices.append(str(error))
         stats = self.recording.close()
         if stats is not None:
             self._recorder_stats = asdict(stats)

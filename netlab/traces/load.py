@@ -12,7 +12,7 @@ from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, PacketRecord, VerdictRecord
 from netlab.capture.schemas import Direction
 from netlab.errors import CaptureError
-from netlab.traces.links import PacketLinks
+from netlab.traces.links import KernelCounts, PacketLinks
 from netlab.traces.model import (
     EVERYBODY,
     Delivery,
@@ -162,6 +162,7 @@ class _Loader:
         if interface is None:
             return
         impairment = record.payload.get("impairment")
+        self._link_state(record, interface, impairment)
         rate = impairment.get("rate_bps") if isinstance(impairment, dict) else None
         pairs = self._pair_rates.setdefault(interface, {})
         pairs[record.text("to")] = float(rate) if isinstance(rate, int | float) else None
@@ -169,6 +170,18 @@ class _Loader:
         changes = self._trace.rates_bps.setdefault(interface, [])
         if not changes or changes[-1][1] != slowest:
             changes.append((record.t_ns, slowest))
+
+    def _link_state(self, record: JsonRecord, sender: Interface, impairment: object) -> None:
+        receiver = self._interfaces.get((record.text("to"), record.text("segment")))
+        if self._packet_links is None or receiver is None:
+            return
+        corrupts = isinstance(impairment, dict) and bool(impairment.get("corrupt_ratio"))
+        counters, counts = record.payload.get("counters"), None
+        if isinstance(counters, dict):
+            full, waiting, reordered = (counters.get(key) for key in ("queue_full", "waiting", "reordered"))
+            if isinstance(full, int | None) and isinstance(waiting, int) and isinstance(reordered, int):
+                counts = KernelCounts(full, waiting, reordered)
+        self._packet_links.state((sender, receiver), record.text("state"), corrupts=corrupts, counts=counts)
 
     def _published(self, record: JsonRecord) -> None:
         stream = record.number("stream")

@@ -119,11 +119,16 @@ class Remark:
 
 @dataclass(slots=True)
 class LinkCounts:
-    """What became of the frames of one directed pair of interfaces."""
+    """What became of the frames of one directed pair of interfaces.
+
+    ``lost_or_queue_full`` are frames that are missing for one of these two reasons and nobody knows for which; unless
+    it is 0, ``verdicts`` has neither.
+    """
 
     frames: int = 0
     size_bytes: int = 0
     verdicts: dict[Verdict, int] = field(default_factory=dict)
+    lost_or_queue_full: int = 0
 
 
 @dataclass(slots=True)

@@ -8,6 +8,7 @@ from netlab.traces.reconnects import reconnects
 from netlab.traces.streams import StreamReport, stream_reports
 
 _DROPPED = (Verdict.LOST, Verdict.QUEUE_FULL, Verdict.OUTAGE, Verdict.OUT_OF_RANGE)
+_NOT_TOLD_APART = (Verdict.LOST, Verdict.QUEUE_FULL)
 
 
 def summary(trace: Trace) -> dict[str, list[dict[str, object]]]:
@@ -47,11 +48,15 @@ def _stream(report: StreamReport) -> dict[str, object]:
 
 
 def _link(counts: LinkCounts) -> dict[str, object]:
-    """Extra copies that the medium made are no frames of the sender: they do not count as frames."""
+    """Extra copies that the medium made are no frames of the sender: they do not count as frames.
+
+    ``lost`` and ``queue_full`` are None where they are not told apart; ``loss_ratio`` counts both all the same.
+    """
     frames = counts.frames - counts.verdicts.get(Verdict.DUPLICATED, 0)
-    dropped = sum(counts.verdicts.get(verdict, 0) for verdict in _DROPPED)
+    dropped = sum(counts.verdicts.get(verdict, 0) for verdict in _DROPPED) + counts.lost_or_queue_full
+    unknown = _NOT_TOLD_APART if counts.lost_or_queue_full else ()
     return {
         "frames": frames,
         "loss_ratio": dropped / frames if frames else 0.0,
-        **{verdict.name.lower(): counts.verdicts.get(verdict, 0) for verdict in Verdict},
+        **{v.name.lower(): None if v in unknown else counts.verdicts.get(v, 0) for v in Verdict},
     }

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from netlab.engines.base import LabPlan, Pair
+from netlab.engines.base import LabPlan, Pair, PairCounters
 from netlab.errors import LabError
 from netlab.lab.links import Links
 from netlab.medium.impairments import PERFECT, Impairment
@@ -19,6 +19,7 @@ class RecordingEngine:
     def __init__(self) -> None:
         self.namespace_fds: dict[str, int] = {}
         self.calls: list[tuple[Any, ...]] = []
+        self.counters: dict[Pair, PairCounters] = {}
 
     def bring_up(self) -> float:
         return 0.0
@@ -36,6 +37,9 @@ class RecordingEngine:
         self.calls.append(("carrier", ports, up))
 
     def record_verdicts(self, fd: int) -> None: ...
+
+    def pair_counters(self) -> dict[Pair, PairCounters]:
+        return self.counters
 
     def close(self) -> None: ...
 
