@@ -128,6 +128,8 @@ _JSON_SCHEMAS: dict[str, dict[str, object]] = {
             "label": {"type": "string"},
             "kind": {"type": "string"},
             "restores": {"description": "the two nodes that can hear each other again, or null"},
+            "reroutes": {"description": "pairs of nodes of a mesh that still had a path after this cut; may be absent"},
+            "rejoins": {"description": "pairs of nodes of a mesh that had a path again; may be absent"},
         },
         "required": ["t_ns", "kind"],
     },

@@ -1,17 +1,19 @@
 """From a scenario to the plan that an engine builds: ports, addresses, one impairment for each directed pair.
 
 Addresses: wire i is 10.{1 + i // 256}.{i % 256}.0/24 with .1 and .2 at its ends; the radio is 10.200.0.0/16 with the
-node's place in the scenario, from 1, as host number. MAC addresses are locally administered and follow port indices.
+node's place in the scenario, from 1, as host number; meshes are 10.240.0.0/16 alike, and their members have none. MAC
+addresses are locally administered and follow port indices, those of mesh interfaces the node's place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import permutations
 
 from netlab.engines.base import LabPlan, Pair
 from netlab.medium.impairments import Impairment
+from netlab.medium.meshes import MEMBER_MTU_BYTES, MeshInterface
 from netlab.medium.segments import Port, Segment, SegmentKind
 from netlab.scenario.links import Wire
 from netlab.scenario.model import Scenario
@@ -39,24 +41,27 @@ def compile_plan(scenario: Scenario) -> LabPlan:
     if radio_ports:
         pairs = _radio_pairs(scenario, radio_ports, impairments)
         segments.append(Segment(RADIO_SEGMENT, SegmentKind.RADIO, tuple(radio_ports.values()), pairs))
-    return LabPlan(scenario.name, scenario.seed, tuple(scenario.nodes), tuple(ports), tuple(segments))
+    meshes = tuple(_meshes(scenario, ports))
+    return LabPlan(scenario.name, scenario.seed, tuple(scenario.nodes), tuple(ports), tuple(segments), meshes)
 
 
 def hosts(plan: LabPlan) -> list[tuple[str, str]]:
     """Return (address, name) lines for /etc/hosts.
 
-    A node's name stands for the address of its first port; every port has an alias such as `base-eth1`.
+    A node's name stands for the address of its mesh interface or else of its first port; every address has an alias
+    such as `base-eth1`.
     """
     lines: list[tuple[str, str]] = []
     named: set[str] = set()
-    for port in plan.ports:
-        if port.address is None:
+    interfaces: tuple[Port | MeshInterface, ...] = (*plan.ports, *plan.meshes)
+    for interface in interfaces:
+        if interface.address is None:
             continue
-        address = port.address.partition("/")[0]
-        if port.node not in named:
-            named.add(port.node)
-            lines.append((address, port.node))
-        lines.append((address, f"{port.node}-{port.ifname}"))
+        address = interface.address.partition("/")[0]
+        if interface.node not in named:
+            named.add(interface.node)
+            lines.append((address, interface.node))
+        lines.append((address, f"{interface.node}-{interface.ifname}"))
     return lines
 
 
@@ -85,11 +90,35 @@ def _ports(scenario: Scenario, wires: Iterable[Wire]) -> tuple[list[Port], list[
         for end in ends[node]:
             assert end.wire is not None
             at[end.wire] = len(ports)
-            ports.append(Port(len(ports), node, end.ifname, _mac(len(ports)), end.address))
+            ports.append(_port(scenario, node, len(ports), end.ifname, end.address))
         if node in radio_nodes:
             radio_ports[node] = len(ports)
-            ports.append(Port(len(ports), node, RADIO_INTERFACE, _mac(len(ports)), _radio_address(place)))
+            ports.append(_port(scenario, node, len(ports), RADIO_INTERFACE, _radio_address(place)))
     return ports, [(at[index, 0], at[index, 1]) for index in range(count)], radio_ports
+
+
+def _port(scenario: Scenario, node: str, index: int, ifname: str, address: str) -> Port:
+    if scenario.meshes[node] is None:
+        return Port(index, node, ifname, _mac(index), address)
+    return Port(index, node, ifname, _mac(index), None, mtu=MEMBER_MTU_BYTES)
+
+
+def _meshes(scenario: Scenario, ports: Iterable[Port]) -> Iterator[MeshInterface]:
+    members: dict[str, list[int]] = {name: [] for name in scenario.nodes}
+    for port in ports:
+        members[port.node].append(port.index)
+    for place, (node, kind) in enumerate(scenario.meshes.items(), start=1):
+        if kind is not None:
+            address, batman = _mesh_address(place), scenario.batman_options(node)
+            yield MeshInterface(node, kind, kind.ifname, _mesh_mac(place), address, tuple(members[node]), batman=batman)
+
+
+def _mesh_address(place: int) -> str:
+    return f"10.240.{place // 256}.{place % 256}/16"
+
+
+def _mesh_mac(place: int) -> bytes:
+    return b"\x02\x4e\x4d" + place.to_bytes(3, "big")
 
 
 def wire_address(wire: int, host: int) -> str:

@@ -107,7 +107,11 @@ def _tc_in_lab() -> probe.TcFeatures:
 
 def _devices() -> list[Finding]:
     remedy = "ask the machine's administrator for access to /dev/net/tun"
-    return [_tried("/dev/net/tun", probe.try_tun, "layer-2 meshes that run in user space", remedy)]
+    mesh_remedy = "sudo modprobe batman-adv, or run such scenarios in a kernel that has it: netlab run FILE --in vm"
+    return [
+        _tried("/dev/net/tun", probe.try_tun, "layer-2 meshes that run in user space", remedy),
+        _tried("batman-adv", probe.try_batman, "nodes with mesh: batman-adv", mesh_remedy),
+    ]
 
 
 def _tried(

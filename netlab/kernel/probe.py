@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from netlab.kernel import messages, syscalls, tc
+from netlab.kernel import batman, messages, syscalls, tc
 from netlab.kernel import namespaces as netns
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.medium.impairments import PERFECT
@@ -190,6 +190,12 @@ def try_tun() -> str | None:
     finally:
         os.close(fd)
     return None
+
+
+def try_batman() -> str | None:
+    """A mesh interface of batman-adv."""
+    become_lab_root()
+    return batman.problem()
 
 
 def tc_features() -> TcFeatures:

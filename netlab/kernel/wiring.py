@@ -187,6 +187,8 @@ class _Builder:
         ]
         if veth.address is not None:
             orders.append(messages.add_address(index, ipaddress.IPv4Interface(veth.address)))
+        elif netns.has_ipv6():  # it belongs to a mesh: no address of either kind
+            orders.append(messages.no_ipv6_address(index))
         return orders
 
     def _raise_far_ends(self) -> None:

@@ -35,12 +35,18 @@ def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessS
                 node=node,
                 name=process.name,
                 argv=argv,
-                env=process.env,
+                env=mesh_environment(scenario, node) | process.env,
                 waits_for_ready=process.ready == "fd",
                 restart=Restart(process.restart),
             )
         )
     return specs
+
+
+def mesh_environment(scenario: Scenario, node: str) -> dict[str, str]:
+    """What tells a node's programs which interface to use: ``NETLAB_MESH_INTERFACE``, only where there is a mesh."""
+    mesh = scenario.meshes[node]
+    return {} if mesh is None else {"NETLAB_MESH_INTERFACE": mesh.ifname}
 
 
 def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
@@ -59,7 +65,9 @@ def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
         topics[entry.topic] = topic
     for name, given in settings.pop("topics", {}).items():
         topics[name] = topics.get(name, {}) | given
-    return {"name": node, **settings, "topics": topics}
+    mesh = scenario.meshes[node]
+    interfaces = {} if mesh is None else {"interfaces": [mesh.ifname]}
+    return {"name": node, **interfaces, **settings, "topics": topics}
 
 
 def streams(scenario: Scenario) -> list[StreamSpec]:
@@ -97,11 +105,23 @@ def traffic_sources(scenario: Scenario, plan: LabPlan) -> list[ProcessSpec]:
         by_node.setdefault(stream.source, []).append(stream)
     specs = []
     for node, own in by_node.items():
-        reachable = neighbours(plan, node) & {stream.destination for stream in own}
+        reachable = reach(scenario, plan, node) & {stream.destination for stream in own}
         extra = ["--seed", str(plan.seed), "--discovery-s", str(DISCOVERY_LIMIT_S)]
         extra += ["--await-peers", ",".join(sorted(reachable))]
         specs.append(_traffic(node, SOURCE, own, extra))
     return specs
+
+
+def reach(scenario: Scenario, plan: LabPlan, node: str) -> set[str]:
+    """Nodes that ``node`` can discover at the start: its neighbours, or in a mesh all that hops lead to."""
+    kind = scenario.meshes[node]
+    if kind is None:
+        return neighbours(plan, node)
+    found, new = {node}, {node}
+    while new:
+        new = {name for known in new for name in neighbours(plan, known) if scenario.meshes[name] is kind} - found
+        found |= new
+    return found - {node}
 
 
 def neighbours(plan: LabPlan, node: str) -> set[str]:

@@ -11,6 +11,7 @@ import contextlib
 import json
 import signal
 import time
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -24,6 +25,7 @@ from netlab.lab.recording import Recording
 from netlab.scenario.model import Scenario
 from netlab.timeline import (
     Action,
+    Entry,
     KillProcess,
     SetCarrier,
     SetOutage,
@@ -91,7 +93,7 @@ class ScenarioRun:
         for entry in compile_timeline(self._scenario, self._plan):
             await self._sleep_until(entry.at_s)
             try:
-                await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, restores=entry.restores)
+                await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, **_joins(entry))
             except NetlabError as error:
                 self.problems.append(f"{entry.label}: {error}")
         await self._sleep_until(self._scenario.duration_s)
@@ -116,9 +118,15 @@ class ScenarioRun:
         self._enter(Phase.FINISHED)
 
     async def apply(
-        self, action: Action, kind: str, label: str, *, at_s: float | None, restores: tuple[str, str] | None = None
+        self,
+        action: Action,
+        kind: str,
+        label: str,
+        *,
+        at_s: float | None,
+        **joins: Sequence[Sequence[str]] | Sequence[str],
     ) -> None:
-        """Do one timeline action and record it."""
+        """Do one timeline action and record it, with what it means for nodes that are joined (``Entry``'s names)."""
         match action:
             case SetPairs(changes):
                 self._links.set_pairs(dict(changes))
@@ -130,7 +138,7 @@ class ScenarioRun:
                 self._processes.stop(self._processes.get(node, process), signal.SIGKILL)
             case StartProcess(node, process):
                 await self.start_process(node, process)
-        self._recording.timeline(kind, label, at_s=at_s, restores=list(restores) if restores else None)
+        self._recording.timeline(kind, label, at_s=at_s, **{"restores": None, **joins})
         if isinstance(action, SetPairs | SetOutage | SetCarrier):
             self._recording.links(self._links.describe())
 
@@ -200,6 +208,11 @@ class ScenarioRun:
         self.phase = phase
         self._phase_changed.set()
         self._phase_changed = asyncio.Event()
+
+
+def _joins(entry: Entry) -> dict[str, tuple[str, str] | tuple[tuple[str, str], ...]]:
+    named = {"restores": entry.restores, "reroutes": entry.reroutes, "rejoins": entry.rejoins}
+    return {key: value for key, value in named.items() if value}
 
 
 async def wait_ready(processes: list[Process], limit_s: float) -> None:

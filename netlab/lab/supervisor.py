@@ -22,6 +22,7 @@ from typing import Any
 
 from netlab.capture.metadata import run_metadata
 from netlab.clock import clock_here
+from netlab.engines import mesh_interfaces
 from netlab.engines.choose import make_engine
 from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import MachineError, NetlabError
@@ -74,9 +75,11 @@ class Supervisor:
             for change in entry.action.changes.values()
             if change is not None
         ]
+        mesh_interfaces.check_kernel(self.plan)
         self._engine_name, self._engine = make_engine(self._options.engine, self.plan, later)
         channel, _pid = start_module("netlab.lab.spawner")
         self._bring_up_s = self._engine.bring_up()
+        self._bring_up_s += mesh_interfaces.bring_up(self.plan, self._engine.namespace_fds)
         self.links = Links(self.plan, self._engine)
         self.recording = self._start_recording()
         self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
@@ -111,6 +114,7 @@ class Supervisor:
         if self._options.packets:
             for node in self.plan.nodes:
                 interfaces = [port.ifname for port in self.plan.ports if port.node == node]
+                interfaces += [mesh.ifname for mesh in self.plan.meshes if mesh.node == node]
                 recording.add_node(node, self._engine.namespace_fds[node], interfaces)
             verdicts = recording.add_verdicts()
             if verdicts is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from netlab.scenario.base import suggestion
+from netlab.scenario.check_mesh import nobody_reached, why_apart
 from netlab.scenario.check_topology import Names
 from netlab.scenario.document import Path
 from netlab.scenario.events import Event, Flap, LinkChange, Outage
@@ -13,6 +14,7 @@ from netlab.scenario.expect import (
     NodeQuery,
     PairQuery,
     PriorityInversionsExpectation,
+    RerouteExpectation,
     StreamQuery,
 )
 from netlab.scenario.model import Scenario
@@ -49,18 +51,15 @@ class _Activity:
             yield from self._other_settings(index, item)
             if item.to == (ALL,):
                 if self._known(item.from_) and self._paths_certain and not self._scenario.destinations(item):
-                    yield (*path, "to"), f"'{item.from_}' shares no link or radio with another udp_mesh node"
+                    yield (*path, "to"), f"'{item.from_}' {nobody_reached(self._scenario, item.from_)}"
                 continue
             for position, name in enumerate(item.to):
                 to_path: Path = (*path, "to", position) if len(item.to) > 1 else (*path, "to")
                 yield from self._endpoint(name, to_path)
                 if name == item.from_:
                     yield to_path, f"'{name}' sends to itself; name another node"
-                elif self._unjoined(item.from_, name):
-                    yield (
-                        to_path,
-                        f"'{item.from_}' and '{name}' share no link or radio, and nothing is routed; join them",
-                    )
+                elif self._apart(item.from_, name):
+                    yield to_path, f"'{item.from_}' and '{name}' {why_apart(self._scenario, item.from_, name)}"
 
     def _other_settings(self, index: int, item: Traffic) -> Iterator[Problem]:
         """A topic's settings belong to the sender's daemon, so they cannot differ from entry to entry."""
@@ -79,8 +78,8 @@ class _Activity:
         elif self._known(name) and self._scenario.nodes[name].process("udp_mesh") is None:
             yield path, f"node '{name}' runs no udp_mesh to carry traffic; add processes: [udp_mesh]"
 
-    def _unjoined(self, a: str, b: str) -> bool:
-        return self._known(a, b) and self._paths_certain and not self._scenario.joined(a, b)
+    def _apart(self, a: str, b: str) -> bool:
+        return self._known(a, b) and self._paths_certain and not self._scenario.reaches(a, b)
 
     def events(self) -> Iterator[Problem]:
         for index, event in enumerate(self._scenario.events):
@@ -138,7 +137,7 @@ class _Activity:
             if isinstance(query, StreamQuery):
                 yield from self._stream_query(query, path)
             elif isinstance(query, PairQuery):
-                yield from self._pair_query(query, path)
+                yield from self._pair_query(query, entry, path)
             elif isinstance(query, NodeQuery):
                 yield from self._node_query(query, entry, path)
 
@@ -158,18 +157,33 @@ class _Activity:
             flows = [f"{s.source} -> {s.destination}" for s in self._streams if s.topic == query.topic]
             yield path, f"no stream of '{query.topic}' goes that way; it goes {', '.join(flows[:10])}"
 
-    def _pair_query(self, query: PairQuery, path: Path) -> Iterator[Problem]:
+    def _pair_query(self, query: PairQuery, entry: AnyExpectation, path: Path) -> Iterator[Problem]:
         complaints = [self._names.complaint(name) for name in query.between]
         for position, complaint in enumerate(complaints):
             if complaint:
                 yield (*path, "between", position), complaint
+        a, b = query.between
+        if any(complaints) or not self._known(a, b):
+            return
+        meshed = self._scenario.meshes[a] is not None and self._scenario.reaches(a, b)
+        if isinstance(entry, RerouteExpectation):
+            yield from self._reroute_query(a, b, path, meshed=meshed)
         radio = self._scenario.radio
-        if any(complaints) or "events" in self._doubt.sections or (radio and radio.propagation.file):
+        if "events" in self._doubt.sections or (radio and radio.propagation.file):
             return
         cuts = [part for event in self._scenario.events if (part := event.outage or event.flap)]
-        if not any(set(part.ends) == set(query.between) for part in cuts):
-            a, b = query.between
-            yield path, f"nothing is ever restored between '{a}' and '{b}'; add an outage or a flap to events"
+        if not any(meshed or set(part.ends) == {a, b} for part in cuts):
+            ever = "cut" if isinstance(entry, RerouteExpectation) else "restored"
+            yield path, f"nothing is ever {ever} between '{a}' and '{b}'; add an outage or a flap to events"
+
+    def _reroute_query(self, a: str, b: str, path: Path, *, meshed: bool) -> Iterator[Problem]:
+        if not meshed and self._paths_certain:
+            yield path, f"nothing is routed between '{a}' and '{b}'; give them, and what joins them, a mesh:"
+        elif "traffic" not in self._doubt.sections and not self._traffic_between(a, b):
+            yield path, f"no traffic goes between '{a}' and '{b}', so nothing shows a reroute; add some"
+
+    def _traffic_between(self, a: str, b: str) -> bool:
+        return any({stream.source, stream.destination} == {a, b} for stream in self._streams)
 
     def _node_query(self, query: NodeQuery, entry: AnyExpectation, path: Path) -> Iterator[Problem]:
         needs_traffic = isinstance(entry, PriorityInversionsExpectation) and "traffic" not in self._doubt.sections

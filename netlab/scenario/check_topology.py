@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from netlab.scenario.base import suggestion
+from netlab.scenario.check_mesh import check_meshes
 from netlab.scenario.document import Path
 from netlab.scenario.generate import MAX_LINKS
 from netlab.scenario.links import Ends
@@ -44,6 +45,7 @@ def check_topology(scenario: Scenario, doubt: Doubt) -> Iterator[Problem]:
     names = Names(scenario, doubt)
     yield from _node_names(scenario)
     yield from _links(scenario, names)
+    yield from check_meshes(scenario)
     if scenario.radio is not None:
         yield from _radio_pairs(scenario, scenario.radio, names)
         yield from _radio_trace(scenario, scenario.radio, names)
@@ -56,7 +58,7 @@ def _node_names(scenario: Scenario) -> Iterator[Problem]:
         if other != name:
             yield ("nodes", name), f"differs from '{other}' only by case, which hostnames ignore; rename one"
         base, _, port = name.rpartition("-")
-        if base in scenario.nodes and (port.startswith(("eth", "radio")) and port[-1].isdigit()):
+        if base in scenario.nodes and (port.startswith(("eth", "radio", "bat")) and port[-1].isdigit()):
             yield ("nodes", name), f"'{name}' is also how an interface of '{base}' is called; rename the node"
 
 

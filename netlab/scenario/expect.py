@@ -64,6 +64,14 @@ class ReconnectExpectation(Expectation):
     max_s: Seconds = Field(alias="max")
 
 
+class RerouteExpectation(Expectation):
+    """From every cut that leaves two nodes of a mesh another path to the first message published after it."""
+
+    question: ClassVar[str] = "reroute"
+    reroute: PairQuery
+    max_s: Seconds = Field(alias="max")
+
+
 class DeliveredExpectation(Expectation):
     """Distinct messages delivered over messages sent."""
 
@@ -115,6 +123,7 @@ class RetransmissionsExpectation(Expectation):
 _KINDS: tuple[type[Expectation], ...] = (
     LatencyExpectation,
     ReconnectExpectation,
+    RerouteExpectation,
     DeliveredExpectation,
     PriorityInversionsExpectation,
     GoodputExpectation,
@@ -135,6 +144,7 @@ def _question(value: object) -> str | None:
 AnyExpectation = Annotated[
     Annotated[LatencyExpectation, Tag("<latency>")]
     | Annotated[ReconnectExpectation, Tag("<reconnect>")]
+    | Annotated[RerouteExpectation, Tag("<reroute>")]
     | Annotated[DeliveredExpectation, Tag("<delivered>")]
     | Annotated[PriorityInversionsExpectation, Tag("<priority_inversions>")]
     | Annotated[GoodputExpectation, Tag("<goodput>")]

@@ -7,17 +7,19 @@ its parts.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
+from netlab.medium.meshes import BatmanOptions, MeshKind
 from netlab.scenario.base import NodeName, NotYet, StrictModel, not_yet
 from netlab.scenario.events import Event
 from netlab.scenario.expect import AnyExpectation
 from netlab.scenario.generate import Generate
 from netlab.scenario.links import Link, Wire, wires
+from netlab.scenario.mesh import BatmanSettings, MeshWord, components, same_mesh
 from netlab.scenario.nodes import MeshSettings, Node
 from netlab.scenario.quantities import PositiveSeconds
 from netlab.scenario.radio import Radio
@@ -46,6 +48,8 @@ class Scenario(StrictModel):
         BeforeValidator(lambda value: not_yet(value, ENGINES, ("sim",), "engine")),
     ] = "auto"
     radio: Radio | None = None
+    mesh: MeshWord = "none"
+    batman_adv: BatmanSettings = BatmanSettings()
     udp_mesh: MeshSettings = MeshSettings()
     nodes: dict[NodeName, Node] = Field(min_length=1)
     links: tuple[Link, ...] = ()
@@ -85,14 +89,40 @@ class Scenario(StrictModel):
     def _wired(self) -> frozenset[frozenset[str]]:
         return frozenset(frozenset(link.ends) for link in self.links)
 
+    @cached_property
+    def meshes(self) -> Mapping[str, MeshKind | None]:
+        """The kind of mesh of every node; None is without."""
+        words = {name: self.mesh if node.mesh is None else node.mesh for name, node in self.nodes.items()}
+        return {name: None if word == "none" else MeshKind(word) for name, word in words.items()}
+
+    def reaches(self, a: str, b: str) -> bool:
+        """Whether messages can go between two nodes while nothing is cut: directly, or routed by their mesh.
+
+        Radios count as in range, as in :meth:`joined`.
+        """
+        if not same_mesh(self.meshes, a, b):
+            return False
+        return bool(self.joined(a, b)) if self.meshes[a] is None else self._mesh_parts[a] == self._mesh_parts[b]
+
+    @cached_property
+    def _mesh_parts(self) -> Mapping[str, Hashable]:
+        joins = [link.ends for link in self.links if set(link.ends) <= self.nodes.keys()]
+        of_kind: dict[MeshKind | None, str] = {}
+        joins += [(of_kind.setdefault(self.meshes[name], name), name) for name in self.radio_nodes]
+        return components(self.nodes, (ends for ends in joins if same_mesh(self.meshes, *ends)))
+
+    def batman_options(self, node: str) -> BatmanOptions:
+        """batman-adv's settings in ``node``: the top-level block, overlaid by the node's own."""
+        return (self.nodes[node].batman_adv or BatmanSettings()).laid_over(self.batman_adv)
+
     def destinations(self, traffic: Traffic) -> tuple[str, ...]:
-        """Who gets a traffic entry's messages; `all` is every node joined to the source that runs udp_mesh."""
+        """Who gets a traffic entry's messages; `all` is every node in its reach that runs udp_mesh."""
         if traffic.to != (ALL,):
             return traffic.to
         return tuple(
             name
             for name, node in self.nodes.items()
-            if name != traffic.from_ and node.process("udp_mesh") and self.joined(traffic.from_, name)
+            if name != traffic.from_ and node.process("udp_mesh") and self.reaches(traffic.from_, name)
         )
 
     def streams(self) -> tuple[Stream, ...]:

@@ -10,12 +10,12 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchem
 from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
+from netlab.scenario.mesh import BatmanSettings, MeshWord
 from netlab.scenario.quantities import DURATION, SIZE, PositiveSeconds, Quantity, describe
 from netlab.scenario.radio import node_radio
 
 BUILTIN_PROCESSES = ("udp_mesh",)
 _LATER_PROCESSES = ("wnet", "rose")
-_LATER_MESHES = ("wnet", "batman", "batman_adv", "babel", "babeld")
 
 
 def _whole_bytes(value: object) -> int:
@@ -153,9 +153,8 @@ class Node(StrictModel):
     processes: tuple[Process, ...] = ()
     udp_mesh: MeshSettings | None = None
     radio: Annotated[Literal["none"], BeforeValidator(node_radio), WithJsonSchema({"const": "none"})] | None = None
-    mesh: Annotated[
-        Literal["none"], BeforeValidator(lambda value: not_yet(value, ("none",), _LATER_MESHES, "mesh"))
-    ] = "none"
+    mesh: MeshWord | None = None
+    batman_adv: BatmanSettings | None = None
     waypoints: NotYet = None
     speed: NotYet = None
     carried_by: NotYet = None

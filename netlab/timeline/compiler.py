@@ -35,6 +35,7 @@ from netlab.timeline.impairments import Impairments
 from netlab.timeline.labels import path_name, words_text
 from netlab.timeline.paths import Hop, RadioWords, WireWords
 from netlab.timeline.places import Places
+from netlab.timeline.routes import with_routes
 
 if TYPE_CHECKING:
     from netlab.engines.base import LabPlan
@@ -49,7 +50,8 @@ def compile_timeline(scenario: Scenario, plan: LabPlan) -> tuple[Entry, ...]:
     """
     compiler = _Compiler(scenario, plan)
     moments = sorted(compiler.moments(), key=lambda moment: (moment.at_s, moment.ends))
-    return tuple(entry for moment in moments for entry in moment.entries(moment.at_s))
+    entries = [entry for moment in moments for entry in moment.entries(moment.at_s)]
+    return with_routes(entries, scenario, plan)
 
 
 @dataclass(frozen=True, slots=True)

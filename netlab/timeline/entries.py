@@ -71,6 +71,8 @@ class Entry:
     """One action at ``at_s`` seconds of scenario time.
 
     ``restores`` names the two nodes that nothing scheduled keeps apart any more, when this entry ended the last of it.
+    Of nodes in a mesh, ``reroutes`` names the ends of streams that still have a path after this cut, ``rejoins`` those
+    that have one again.
     """
 
     at_s: float
@@ -78,3 +80,5 @@ class Entry:
     label: str
     action: Action
     restores: tuple[str, str] | None = None
+    reroutes: tuple[tuple[str, str], ...] = ()
+    rejoins: tuple[tuple[str, str], ...] = ()

@@ -14,6 +14,7 @@ from netlab.scenario.expect import (
     LongestGapExpectation,
     PriorityInversionsExpectation,
     ReconnectExpectation,
+    RerouteExpectation,
     RetransmissionsExpectation,
     StreamQuery,
 )
@@ -21,6 +22,7 @@ from netlab.traces.explain import around, milliseconds, rate
 from netlab.traces.inversions import inversions
 from netlab.traces.model import Stream, Trace
 from netlab.traces.reconnects import reconnects
+from netlab.traces.reroutes import reroutes
 from netlab.traces.retransmissions import retransmissions
 from netlab.traces.streams import first_deliveries, longest_gap, percentile, stream_report
 
@@ -58,6 +60,8 @@ def evaluate(expect: Iterable[AnyExpectation], trace: Trace) -> list[Expectation
                 results += _latency(expectation, trace)
             case ReconnectExpectation():
                 results.append(_reconnect(expectation, trace))
+            case RerouteExpectation():
+                results.append(_reroute(expectation, trace))
             case PriorityInversionsExpectation():
                 results.append(_inversions(expectation, trace))
             case RetransmissionsExpectation():
@@ -116,6 +120,22 @@ def _reconnect(expectation: ReconnectExpectation, trace: Trace) -> ExpectationRe
     if worst.delay_s is None:
         what = "restored; no message published since then came through, in either direction"
     return ExpectationResult(name, False, worst.delay_s, limit_s, around(trace, worst.restored_ns, what))
+
+
+def _reroute(expectation: RerouteExpectation, trace: Trace) -> ExpectationResult:
+    between, limit_s = set(expectation.reroute.between), expectation.max_s
+    name = f"reroute of {'-'.join(expectation.reroute.between)} <= {milliseconds(limit_s)}"
+    entries = [entry for entry in reroutes(trace) if set(entry.between) == between]
+    if not entries:
+        what = "no cut in this run left them another path"
+        return ExpectationResult(name, False, None, limit_s, around(trace, trace.end_ns, what))
+    worst = max(entries, key=lambda entry: float("inf") if entry.delay_s is None else entry.delay_s)
+    if worst.delay_s is not None and worst.delay_s <= limit_s:
+        return ExpectationResult(name, True, worst.delay_s, limit_s)
+    what = f"cut; on another path, the first message published since came {milliseconds(worst.delay_s)} later"
+    if worst.delay_s is None:
+        what = "cut; a stream between them got nothing through that was published since, although a path was left"
+    return ExpectationResult(name, False, worst.delay_s, limit_s, around(trace, worst.cut_ns, what))
 
 
 def _inversions(expectation: PriorityInversionsExpectation, trace: Trace) -> ExpectationResult:

@@ -150,11 +150,13 @@ class _Loader:
         return trace
 
     def _step(self, record: JsonRecord) -> None:
-        restores = record.payload.get("restores")
-        pair = (str(restores[0]), str(restores[1])) if isinstance(restores, list) and len(restores) == 2 else None
+        restores, *meshed = (record.payload.get(key) for key in ("restores", "reroutes", "rejoins"))
+        reroutes, rejoins = (_node_pairs(value if isinstance(value, list) else []) for value in meshed)
+        pair = next(iter(_node_pairs([restores])), None)
         at_s = record.payload.get("at_s")
         planned_s = float(at_s) if isinstance(at_s, int | float) else self._trace.seconds(record.t_ns)
-        self._trace.timeline.append(Step(record.t_ns, planned_s, record.text("label"), record.text("kind"), pair))
+        label, kind = record.text("label"), record.text("kind")
+        self._trace.timeline.append(Step(record.t_ns, planned_s, label, kind, pair, reroutes, rejoins))
 
     def _link(self, record: JsonRecord) -> None:
         """One directed pair's new state. An interface is as fast as the slowest of its pairs."""
@@ -216,3 +218,7 @@ class _Loader:
 
     def _remark(self, record: JsonRecord, text: str) -> None:
         self._trace.remarks.append(Remark(record.t_ns, record.node, text))
+
+
+def _node_pairs(values: list[object]) -> tuple[tuple[str, str], ...]:
+    return tuple((str(value[0]), str(value[1])) for value in values if isinstance(value, list) and len(value) == 2)

@@ -90,13 +90,19 @@ class Fragment:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step of the timeline. ``restores`` names the two nodes that can hear each other again."""
+    """One step of the timeline. ``restores`` names the two nodes that can hear each other again.
+
+    Of nodes in a mesh, ``reroutes`` names those that still had a path after this cut, ``rejoins`` those that had one
+    again.
+    """
 
     t_ns: int
     at_s: float
     label: str
     kind: str
     restores: tuple[str, str] | None = None
+    reroutes: tuple[tuple[str, str], ...] = ()
+    rejoins: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,14 @@ def reconnects(trace: Trace) -> list[Reconnect]:
     """One entry per restoration, in the order of time.
 
     Fresh is a message published after the restoration, in either direction between the two nodes, or the newest one
-    that a stream with ``keep: latest`` kept over the outage. Probes, beacons and older messages do not count.
+    that a stream with ``keep: latest`` kept over the outage. Probes, beacons and older messages do not count. Nodes of
+    a mesh are restored when a path joins them again.
     """
-    return [_reconnect(trace, step, step.restores) for step in trace.timeline if step.restores]
+    return [
+        _reconnect(trace, step, between)
+        for step in trace.timeline
+        for between in (*([step.restores] if step.restores else []), *step.rejoins)
+    ]
 
 
 def _reconnect(trace: Trace, step: Step, between: tuple[str, str]) -> Reconnect:

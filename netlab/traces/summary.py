@@ -5,6 +5,7 @@ from __future__ import annotations
 from netlab.medium.verdicts import Verdict
 from netlab.traces.model import LinkCounts, Trace
 from netlab.traces.reconnects import reconnects
+from netlab.traces.reroutes import reroutes
 from netlab.traces.streams import StreamReport, stream_reports
 
 _DROPPED = (Verdict.LOST, Verdict.QUEUE_FULL, Verdict.OUTAGE, Verdict.OUT_OF_RANGE)
@@ -12,8 +13,8 @@ _NOT_TOLD_APART = (Verdict.LOST, Verdict.QUEUE_FULL)
 
 
 def summary(trace: Trace) -> dict[str, list[dict[str, object]]]:
-    """Return ``streams``, ``reconnects`` and ``links``. Times in scenario seconds."""
-    return {
+    """Return ``streams``, ``reconnects`` and ``links``, ``reroutes`` if there are any. Times in scenario s."""
+    parts: dict[str, list[dict[str, object]]] = {
         "streams": [_stream(report) for report in stream_reports(trace)],
         "reconnects": [
             {
@@ -29,6 +30,11 @@ def summary(trace: Trace) -> dict[str, list[dict[str, object]]]:
             for (sender, receiver), counts in sorted(trace.links.items())
         ],
     }
+    if found := reroutes(trace):
+        parts["reroutes"] = [
+            {"between": list(entry.between), "cut_at_s": entry.cut_at_s, "delay_s": entry.delay_s} for entry in found
+        ]
+    return parts
 
 
 def _stream(report: StreamReport) -> dict[str, object]:

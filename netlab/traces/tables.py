@@ -9,6 +9,7 @@ from netlab.traces.explain import milliseconds, rate
 from netlab.traces.inversions import inversions
 from netlab.traces.model import Trace
 from netlab.traces.reconnects import reconnects
+from netlab.traces.reroutes import reroutes
 from netlab.traces.retransmissions import retransmissions
 from netlab.traces.streams import stream_reports
 
@@ -16,11 +17,12 @@ _MOST_LINKS = 24
 
 
 def summary_text(trace: Trace) -> str:
-    """Streams, senders, reconnects, links and the timeline; parts with nothing to say are left out."""
+    """Streams, senders, reconnects, reroutes, links and the timeline; parts with nothing to say are left out."""
     parts = [
         _section("streams", _streams(trace)),
         _section("senders", _senders(trace)),
         _section("reconnects", _reconnects(trace)),
+        _section("reroutes", _reroutes(trace)),
         _section("links", _links(trace)),
         _section("timeline", _timeline(trace)),
     ]
@@ -81,6 +83,13 @@ def _reconnects(trace: Trace) -> list[str]:
         first = "none" if entry.first_delivery_s is None else f"{entry.first_delivery_s:.3f} s"
         delay = milliseconds(entry.delay_s)
         rows.append(["-".join(entry.between), f"{entry.restored_at_s:.3f} s", first, delay])
+    return columns(rows) if len(rows) > 1 else []
+
+
+def _reroutes(trace: Trace) -> list[str]:
+    rows = [["between", "cut", "delay"]]
+    for entry in reroutes(trace):
+        rows.append(["-".join(entry.between), f"{entry.cut_at_s:.3f} s", milliseconds(entry.delay_s)])
     return columns(rows) if len(rows) > 1 else []
 
 

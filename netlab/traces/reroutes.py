@@ -1,0 +1,43 @@
+"""How long after each cut that left another path the first message came through that was published after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from netlab.traces.model import NS_PER_S, Step, Trace
+from netlab.traces.streams import first_deliveries
+
+
+@dataclass(frozen=True, slots=True)
+class Reroute:
+    """One cut, for two nodes of a mesh. ``delay_s`` is None if nothing fresh came through until the end.
+
+    A cut of a link that carried nothing between them shows as a delay of about one message interval.
+    """
+
+    between: tuple[str, str]
+    cut_at_s: float
+    delay_s: float | None
+    cut_ns: int
+
+
+def reroutes(trace: Trace) -> list[Reroute]:
+    """One entry per cut and pair of nodes that still had a path, in the order of time.
+
+    The delay is that of the slowest stream between the two, in either direction: each direction finds its own way.
+    What was published before the cut does not count, wherever it was; so frames that were past the cut do not either.
+    """
+    return [_reroute(trace, step, between) for step in trace.timeline for between in step.reroutes]
+
+
+def _reroute(trace: Trace, step: Step, between: tuple[str, str]) -> Reroute:
+    streams = [stream.index for stream in trace.streams if {stream.source, stream.destination} == set(between)]
+    first = [_first_fresh_ns(trace, stream, step.t_ns) for stream in streams]
+    known = [t_ns for t_ns in first if t_ns is not None]
+    delay_s = (max(known) - step.t_ns) / NS_PER_S if known and len(known) == len(first) else None
+    return Reroute(between, trace.seconds(step.t_ns), delay_s, step.t_ns)
+
+
+def _first_fresh_ns(trace: Trace, stream: int, cut_ns: int) -> int | None:
+    times = (delivery.t_ns for delivery in first_deliveries(trace, stream) if delivery.published_ns >= cut_ns)
+    return min(times, default=None)
