@@ -11,10 +11,7 @@ Ends when the engine's channel closes, however the engine ended.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import gc
-import os
-import resource
 import select
 import socket
 import sys
@@ -37,6 +34,7 @@ from netlab.engines.air_messages import (
 )
 from netlab.engines.air_ring import Ring
 from netlab.engines.air_verdicts import VerdictStream
+from netlab.engines.priority import prefer_this_process
 from netlab.ipc import Channel
 from netlab.kernel import syscalls
 from netlab.medium.medium import Medium
@@ -212,27 +210,13 @@ def _sender(ifindex: int) -> Callable[[bytes], int]:
     return sock.send
 
 
-def _prefer_this_process() -> None:
-    """Real-time priority where the user may have it: a busy machine then costs microseconds, not time slices."""
-    syscalls.set_timerslack_ns(1)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
-    except OSError:
-        with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, 0, -20)
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != hard:
-        with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-
-
 def main(argv: list[str]) -> int:
     """Carry frames for the engine at the other end of ``--channel-fd``, in the calling process's network namespace."""
     parser = argparse.ArgumentParser(prog="netlab-air")
     parser.add_argument("--channel-fd", type=int, required=True)
     options = parser.parse_args(argv)
     syscalls.set_name("netlab-air")
-    _prefer_this_process()
+    prefer_this_process()
     Air(Channel.from_fd(options.channel_fd)).run()
     return 0
 

@@ -11,7 +11,9 @@ from netlab.medium.pair import DROPPED, Outcome
 from netlab.medium.verdicts import VERDICT_RECORD
 
 _BUFFER_BYTES = 4 << 20
-_CHUNK_BYTES = 1 << 16
+# Whole records in one piece of the kernel's memory, taken or refused as a whole (unix_stream_sendmsg): several
+# processes may write to one stream.
+_CHUNK_BYTES = 1 << 14
 _NS_PER_S = 1_000_000_000
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from netlab.engines.air import AirEngine
 from netlab.engines.base import Engine, LabPlan
+from netlab.engines.hwsim import HwsimEngine, has_wifi, wires_of
 from netlab.engines.netem import NetemEngine
 from netlab.kernel.netem import inexpressible
 from netlab.kernel.probe import in_child, tc_features
@@ -23,6 +24,9 @@ def make_engine(wanted: str, plan: LabPlan, later: Iterable[Impairment]) -> tupl
     Raises:
         MachineError: ``netem`` was asked for and cannot express the scenario.
     """
+    if has_wifi(plan):
+        name, wires = make_engine(wanted, wires_of(plan), later)
+        return name, HwsimEngine(plan, wires)
     if wanted == "netem" or (wanted == "auto" and _netem_suits(plan, later)):
         return "netem", NetemEngine(plan)
     return "air", AirEngine(plan)

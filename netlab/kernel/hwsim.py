@@ -69,7 +69,9 @@ def new_radio(family: int, name: str) -> bytes:
     """Make a radio without an interface that goes when the socket closes."""
     flags = genl.attribute(_DESTROY_RADIO_ON_CLOSE) + genl.attribute(_NO_VIF)
     rules = genl.number(_REG_CUSTOM_REG, _REGULATORY_RULES)
-    return genl.message(family, _NEW_RADIO, flags, rules, genl.attribute(_RADIO_NAME, name.encode()))
+    named = genl.attribute(_RADIO_NAME, name.encode())
+    # The first radio's number is 0, and so is the answer, which the kernel gives only if asked.
+    return genl.message(family, _NEW_RADIO, flags, rules, named, flags=NLM_F_ACK)
 
 
 def delivery(family: int, receiver: bytes, sent: SentFrame, frame: bytes, *, rate: int, signal_dbm: int) -> bytes:

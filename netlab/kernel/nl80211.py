@@ -9,7 +9,9 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from netlab.kernel import genl
+from pyroute2.netlink.rtnl.ifinfmsg import ifinfmsg
+
+from netlab.kernel import genl, messages
 from netlab.kernel.netlink import NetlinkSocket, attributes
 
 NAME = "nl80211"
@@ -72,6 +74,14 @@ def join_ibss(family: int, ifindex: int, ssid: bytes, frequency_mhz: int, bssid:
     """Join the ad-hoc network ``ssid`` with a fixed cell identifier: no scan, no merge, no waiting."""
     cell = (genl.attribute(_SSID, ssid), genl.attribute(_MAC, bssid), genl.attribute(_FREQ_FIXED))
     return genl.message(family, _JOIN_IBSS, *_network(ifindex, frequency_mhz), *cell)
+
+
+def set_mtu(ifindex: int, mtu_bytes: int) -> bytes:
+    """RTM_NEWLINK that changes an interface's MTU; for a route socket."""
+    order = ifinfmsg()
+    order["index"] = ifindex
+    order["attrs"] = [("IFLA_MTU", mtu_bytes)]
+    return messages.encode_message(order, messages.RTM_NEWLINK, 0)
 
 
 def _network(ifindex: int, frequency_mhz: int) -> tuple[bytes, ...]:

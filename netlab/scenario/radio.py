@@ -7,12 +7,12 @@ import io
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, GetJsonSchemaHandler, ValidationInfo, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema
 
-from netlab.scenario.base import NotYet, Problems, StrictModel, not_yet
+from netlab.scenario.base import NotYet, Problems, StrictModel, Switch, not_yet
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import describe
+from netlab.scenario.quantities import FREQUENCY, describe
 from netlab.scenario.words import Words, read_file
 
 TRACE_COLUMNS = ("at_s", "from", "to", "loss_percent", "delay_ms", "rate_mbit")
@@ -158,21 +158,74 @@ class Propagation(StrictModel):
         return self
 
 
+#: Channels on which mac80211_hwsim's own rules let a mesh or an ad-hoc network beacon, by centre in MHz.
+HWSIM_CHANNELS_MHZ = (*range(2412, 2463, 5), 5180, 5200, 5220, 5240, *range(5745, 5826, 20))
+_HWSIM_KEYS = ("mode", "mesh_id", "ssid", "frequency", "retry_limit", "monitor", "rssi")
+_MOST_NAME_BYTES = 32  # IEEE 802.11-2016, 9.4.2.2 and 9.4.2.99
+
+
+def _frequency(value: object) -> int:
+    frequency_mhz = FREQUENCY.parse(value) / 1e6
+    if frequency_mhz not in HWSIM_CHANNELS_MHZ:
+        raise ValueError(
+            f"'{value}' is not the centre of a channel that may be used here; use 2412MHz to 2462MHz in steps of 5MHz, "
+            "5180, 5200, 5220 or 5240MHz, or 5745MHz to 5825MHz in steps of 20MHz"
+        )
+    return int(frequency_mhz)
+
+
+def _network_name(value: object) -> str:
+    if not isinstance(value, str) or not 1 <= len(value.encode()) <= _MOST_NAME_BYTES or "\0" in value:
+        raise ValueError(f"expected a name of 1 to {_MOST_NAME_BYTES} bytes, found {describe(value)}")
+    return value
+
+
+NetworkName = Annotated[str, BeforeValidator(_network_name), WithJsonSchema({"type": "string", "maxLength": 32})]
+
+
 class Radio(Words):
-    """The defaults of every radio. The words here hold for every pair that is in range."""
+    """The defaults of every radio. The words here hold for every pair that is in range.
+
+    ``driver`` `engine`: an Ethernet interface whose frames the engine carries; `hwsim`: a real 802.11 interface of the
+    kernel's mac80211_hwsim, to which alone the keys from ``mode`` to ``monitor`` belong.
+    """
 
     propagation: Propagation
+    driver: Literal["engine", "hwsim"] = "engine"
+    mode: Literal["mesh", "ibss"] = "mesh"
+    mesh_id: NetworkName | None = None
+    ssid: NetworkName | None = None
+    frequency_mhz: Annotated[
+        int, Field(alias="frequency"), BeforeValidator(_frequency), WithJsonSchema({"type": "string"})
+    ] = HWSIM_CHANNELS_MHZ[0]
+    retry_limit: Annotated[int, Field(ge=1, le=64)] = 7
+    monitor: Switch = False
     phy: NotYet = None
-    frequency: NotYet = None
     tx_power: NotYet = None
     noise: NotYet = None
     antenna_gain: NotYet = None
 
+    @property
+    def network(self) -> str:
+        """The identifier of the 802.11 network that all radios form."""
+        return self.mesh_id or self.ssid or "netlab"
+
     @model_validator(mode="after")
     def _consistent_words(self) -> Self:
-        if complaint := self.inconsistency():
+        if complaint := self.inconsistency() or self._misplaced():
             raise ValueError(complaint)
         return self
+
+    def _misplaced(self) -> str | None:
+        if self.driver == "engine":
+            given = {type(self).model_fields[name].alias or name for name in self.model_fields_set}
+            misplaced = [key for key in _HWSIM_KEYS if key in given]
+            return f"{misplaced[0]} belongs to 802.11 radios; add driver: hwsim or remove it" if misplaced else None
+        if self.mode == "mesh" and self.ssid is not None:
+            return "ssid names an ad-hoc network, and this is a mesh; write mesh_id, or mode: ibss"
+        if self.mode == "ibss" and self.mesh_id is not None:
+            return "mesh_id names a mesh, and this is an ad-hoc network; write ssid, or mode: mesh"
+        return None
 
 
 def node_radio(value: Any) -> object:
