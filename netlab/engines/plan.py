@@ -14,9 +14,10 @@ from itertools import permutations
 from netlab.engines.base import LabPlan, Pair
 from netlab.medium.impairments import Impairment
 from netlab.medium.meshes import MEMBER_MTU_BYTES, MeshInterface
-from netlab.medium.segments import Port, Segment, SegmentKind
+from netlab.medium.segments import Port, Segment, SegmentKind, Wifi, WifiMode
 from netlab.scenario.links import Wire
 from netlab.scenario.model import Scenario
+from netlab.scenario.radio import Radio
 from netlab.timeline.impairments import Impairments
 from netlab.timeline.paths import RadioWords
 
@@ -40,7 +41,8 @@ def compile_plan(scenario: Scenario) -> LabPlan:
     ]
     if radio_ports:
         pairs = _radio_pairs(scenario, radio_ports, impairments)
-        segments.append(Segment(RADIO_SEGMENT, SegmentKind.RADIO, tuple(radio_ports.values()), pairs))
+        members = tuple(radio_ports.values())
+        segments.append(Segment(RADIO_SEGMENT, SegmentKind.RADIO, members, pairs, _wifi(scenario.radio)))
     meshes = tuple(_meshes(scenario, ports))
     return LabPlan(scenario.name, scenario.seed, tuple(scenario.nodes), tuple(ports), tuple(segments), meshes)
 
@@ -82,7 +84,7 @@ def _ports(scenario: Scenario, wires: Iterable[Wire]) -> tuple[list[Port], list[
         for side, node in enumerate((wire.a, wire.b)):
             ends[node].append(_End(f"eth{len(ends[node])}", wire_address(index, side + 1), (index, side)))
         count += 1
-    radio_nodes = set(scenario.radio_nodes)
+    radio_nodes, wifi = set(scenario.radio_nodes), _wifi(scenario.radio) is not None
     ports: list[Port] = []
     at: dict[tuple[int, int], int] = {}
     radio_ports: dict[str, int] = {}
@@ -91,7 +93,11 @@ def _ports(scenario: Scenario, wires: Iterable[Wire]) -> tuple[list[Port], list[
             assert end.wire is not None
             at[end.wire] = len(ports)
             ports.append(_port(scenario, node, len(ports), end.ifname, end.address))
-        if node in radio_nodes:
+        if node in radio_nodes and not wifi:
+            radio_ports[node] = len(ports)
+            ports.append(_port(scenario, node, len(ports), RADIO_INTERFACE, _radio_address(place)))
+    for place, node in enumerate(scenario.nodes, start=1):
+        if node in radio_nodes and wifi:  # last: the engine of the wires knows nothing of them
             radio_ports[node] = len(ports)
             ports.append(_port(scenario, node, len(ports), RADIO_INTERFACE, _radio_address(place)))
     return ports, [(at[index, 0], at[index, 1]) for index in range(count)], radio_ports
@@ -128,6 +134,12 @@ def wire_address(wire: int, host: int) -> str:
 
 def _radio_address(place: int) -> str:
     return f"10.200.{place // 256}.{place % 256}/16"
+
+
+def _wifi(radio: Radio | None) -> Wifi | None:
+    if radio is None or radio.driver != "hwsim":
+        return None
+    return Wifi(WifiMode(radio.mode), radio.network, radio.frequency_mhz, radio.retry_limit, radio.monitor)
 
 
 def _mac(index: int) -> bytes:
