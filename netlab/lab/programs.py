@@ -10,6 +10,7 @@ import tomli_w
 from netlab.engines.base import LabPlan
 from netlab.lab.process import ProcessSpec, Restart
 from netlab.lab.traffic import StreamSpec, encode_streams
+from netlab.medium.segments import WifiMode
 from netlab.scenario.model import Scenario
 from netlab.scenario.traffic import ALL
 
@@ -116,11 +117,25 @@ def reach(scenario: Scenario, plan: LabPlan, node: str) -> set[str]:
     """Nodes that ``node`` can discover at the start: its neighbours, or in a mesh all that hops lead to."""
     kind = scenario.meshes[node]
     if kind is None:
-        return neighbours(plan, node)
+        return neighbours(plan, node) | _over_radio_mesh(plan, node)
     found, new = {node}, {node}
     while new:
         new = {name for known in new for name in neighbours(plan, known) if scenario.meshes[name] is kind} - found
         found |= new
+    return found - {node}
+
+
+def _over_radio_mesh(plan: LabPlan, node: str) -> set[str]:
+    """Nodes to which the path selection of 802.11s finds a way from the radio of ``node``."""
+    found: set[str] = set()
+    for segment in plan.segments:
+        if segment.wifi is not None and segment.wifi.mode is WifiMode.MESH:
+            reached = {port for port in segment.ports if plan.ports[port].node == node}
+            new = set(reached)
+            while new:
+                new = {b for a, b in segment.pairs if a in new and (b, a) in segment.pairs} - reached
+                reached |= new
+            found |= {plan.ports[port].node for port in reached}
     return found - {node}
 
 
