@@ -11,24 +11,37 @@
 
 The capture of a failed test is kept below ``captures/`` and named in the report; those of passing tests are removed.
 Labs are independent of each other, so ``pytest -n auto`` runs them side by side.
+
+``--lab-clock=virtual`` runs every test with a lab in a box, in virtual time; the marker ``lab_clock("virtual")`` does
+so with any test, see docs/vm.md. ``--lab-engine`` names the engine of labs whose test names none.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
+from netlab.clock import clock_here
 from netlab.errors import NetlabError
 from netlab.lab.builder import ScenarioBuilder
 from netlab.lab.facade import Lab
+from netlab.pytest_virtual import selection
+from netlab.pytest_virtual.records import FOLDER_VARIABLE
+from netlab.vm.fitness import INSIDE
+from netlab.vm.request import Clock
+
+if TYPE_CHECKING:
+    from netlab.pytest_virtual.inside import Inside
 
 _FAILED = pytest.StashKey[bool]()
 _CAPTURES = pytest.StashKey[list[tuple[Path, Path]]]()  # where each is recorded, where it is kept if the test fails
+_INSIDE: pytest.StashKey[Inside] = pytest.StashKey()  # in a box that the outside opened
 _MARKER_KEYS = {"engine", "seed", "overrides", "packets"}
 
 ScenarioSource = str | Path | Mapping[str, Any] | ScenarioBuilder
@@ -48,16 +61,58 @@ class MakeLab(Protocol):
     ) -> Lab: ...
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Register the marker."""
-    config.addinivalue_line(
-        "markers", "scenario(source, *, engine, seed, overrides, packets): the scenario of the `lab` fixture"
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of lab tests."""
+    group = parser.getgroup("netlab", "labs of netlab")
+    group.addoption("--lab-captures", default="captures", metavar="DIR", help="captures of failed lab tests go here")
+    engine = {"choices": ["air", "netem", "auto"], "help": "engine of every lab whose test does not name one"}
+    try:
+        group.addoption("--lab-engine", "--engine", dest="lab_engine", **engine)
+    except ValueError:  # another plugin has the short name
+        group.addoption("--lab-engine", dest="lab_engine", **engine)
+    group.addoption(
+        "--lab-clock",
+        choices=selection.CLOCKS,
+        help="virtual: tests with a lab run in a box, in virtual time; real: nothing does, and tests that are marked "
+        "so are skipped; default: tests that are marked so, where this machine can",
+    )
+    group.addoption(
+        "--lab-patience",
+        type=float,
+        default=300.0,
+        metavar="SECONDS",
+        help="the longest that one test in a box may take, by the host's clock (300)",
+    )
+    group.addoption(
+        "--lab-env", action="append", default=[], metavar="NAME[=VALUE]", help="give tests in a box this variable too"
     )
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Where the captures of failed tests go."""
-    parser.addoption("--lab-captures", default="captures", metavar="DIR", help="captures of failed lab tests go here")
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the markers, and the side of the box on which this session is."""
+    config.addinivalue_line(
+        "markers", "scenario(source, *, engine, seed, overrides, packets): the scenario of the `lab` fixture"
+    )
+    config.addinivalue_line("markers", 'lab_clock(clock): "virtual" runs the test in a box, "real" never does')
+    if folder := os.environ.pop(FOLDER_VARIABLE, None):  # not for a session that a test here starts
+        from netlab.pytest_virtual.inside import Inside
+
+        config.stash[_INSIDE] = Inside(config, Path(folder))
+        config.pluginmanager.register(config.stash[_INSIDE], "netlab-inside")
+    elif INSIDE not in os.environ:
+        from netlab.pytest_virtual.outside import Outside, refuse_what_cannot_be
+
+        refuse_what_cannot_be(config)
+        config.pluginmanager.register(Outside(config), "netlab-outside")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """In a box that somebody else opened: by its clock, or not at all."""
+    if INSIDE in os.environ and clock_here() != Clock.VIRTUAL.value:
+        for item in items:
+            if selection.clock_of(item, config.getoption("--lab-clock")) is Clock.VIRTUAL:
+                item.add_marker(pytest.mark.skip(reason="runs in virtual time only; this box runs in real time"))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -83,7 +138,8 @@ def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLa
     """Factory of labs; all of them end with the test."""
     labs: list[Lab] = []
     captures = request.node.stash.setdefault(_CAPTURES, [])
-    directory = Path(str(request.config.getoption("--lab-captures"))).resolve()
+    config = request.config
+    directory = Path(str(config.getoption("--lab-captures"))).resolve()
     stem = re.sub(r"[^\w.-]+", "_", request.node.nodeid).strip("_")[-150:]
 
     def make(
@@ -98,7 +154,14 @@ def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLa
         capture = tmp_path / f"capture{len(labs)}.mcap"
         try:
             source = scenario.build() if isinstance(scenario, ScenarioBuilder) else scenario
-            lab = Lab(source, engine=engine, seed=seed, overrides=overrides, capture=capture, packets=packets)
+            lab = Lab(
+                source,
+                engine=engine or config.option.lab_engine,
+                seed=seed,
+                overrides=overrides,
+                capture=capture,
+                packets=packets,
+            )
             labs.append(lab)
             captures.append((capture, directory / f"{stem}{len(labs) if len(labs) > 1 else ''}.mcap"))
             return lab.start()
@@ -111,9 +174,17 @@ def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLa
     failed = request.node.stash.get(_FAILED, False)
     for capture, destination in captures:
         if failed and capture.exists():
-            directory.mkdir(parents=True, exist_ok=True)
-            shutil.move(capture, destination)
+            _keep(config, request.node.nodeid, capture, destination)
         capture.unlink(missing_ok=True)
+
+
+def _keep(config: pytest.Config, test: str, capture: Path, destination: Path) -> None:
+    inside = config.stash.get(_INSIDE, None)
+    if inside is not None:
+        inside.keep_capture(test, capture, destination.name)
+    else:
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        shutil.move(capture, destination)
 
 
 @pytest.fixture

@@ -56,6 +56,16 @@ def write_job(folder: Path, request: BoxRequest, kernel: Kernel, output: Path | 
     (folder / "job.json").write_text(json.dumps(job))
 
 
+def last_lines(log: Path, speaker: str) -> str:
+    """What a log ends with, indented, for an error message."""
+    with contextlib.suppress(OSError):
+        text = log.read_bytes()[-_TAIL_BYTES:].decode(errors="replace")
+        lines = [line.rstrip() for line in text.splitlines() if line.strip()][-12:]
+        if lines:
+            return f"{speaker} said:\n" + "\n".join(f"  {line}" for line in lines)
+    return f"{speaker} said nothing."
+
+
 class Answers:
     """Reads what the guest has written so far."""
 
@@ -87,12 +97,7 @@ class Answers:
 
     def console_tail(self) -> str:
         """The last lines of the kernel's console, indented, for an error message."""
-        with contextlib.suppress(OSError):
-            text = (self._folder / CONSOLE).read_bytes()[-_TAIL_BYTES:].decode(errors="replace")
-            lines = [line.rstrip() for line in text.splitlines() if line.strip()][-12:]
-            if lines:
-                return "The console said:\n" + "\n".join(f"  {line}" for line in lines)
-        return "The console said nothing."
+        return last_lines(self._folder / CONSOLE, "The console")
 
     def close(self) -> None:
         """Close what was opened for reading; nothing is forwarded after that."""

@@ -185,6 +185,11 @@ class Box:
         self._answers.close()
 
     @property
+    def ended(self) -> bool:
+        """Whether the command has ended, or the box broke down."""
+        return self._answers.status() is not None or self._keeper.poll() is not None
+
+    @property
     def _elapsed_s(self) -> float:
         return time.monotonic() - self._began_s
 
