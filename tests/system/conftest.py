@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.system.kernel_rig import tc_features
+
 INSTALL = "sudo apt-get install tcpdump tshark iproute2 iputils-ping"
 
 
@@ -27,6 +29,21 @@ def need_tool() -> Callable[[str], str]:
         return found
 
     return need
+
+
+@pytest.fixture
+def netem_kernel() -> None:
+    """Skip where the kernel lacks sch_netem."""
+    problem = tc_features().netem_problem
+    if problem is not None:
+        pytest.skip(f"{problem}; the tests of its physics run on a kernel that has it (`make test-vm`)")
+
+
+@pytest.fixture
+def no_netem_kernel() -> None:
+    """Skip where the kernel has sch_netem."""
+    if tc_features().netem_problem is None:
+        pytest.skip("this kernel has sch_netem")
 
 
 class Netlab:
