@@ -32,7 +32,7 @@ from netlab.engines.air_messages import (
     SetPairs,
     Setup,
 )
-from netlab.engines.air_ring import Ring
+from netlab.engines.air_ring import SLOTS_MAX, Ring
 from netlab.engines.air_verdicts import VerdictStream
 from netlab.engines.priority import prefer_this_process
 from netlab.ipc import Channel
@@ -44,6 +44,8 @@ _PACKET_QDISC_BYPASS = 20
 _NS_PER_S = 1_000_000_000
 # Frames read before departures get their turn: at some 10 us each, the most that a burst makes a departure late.
 _BURST = 16
+# Bursts that fill the ring.
+_RING_BURSTS = SLOTS_MAX // _BURST
 # A stamp may be older than this only if somebody set the clock.
 _OLDEST_STAMP_NS = _NS_PER_S
 _BASE_MTU = 1500
@@ -113,6 +115,12 @@ class Air:
                 self._verdicts.add(outcomes, frame, sender, arrived, stamp_ns)
         return len(arrivals) == _BURST
 
+    def _catch_up(self) -> None:
+        """Frames that left their node before a change meet what was in force then, as they do in a kernel's queue."""
+        for _ in range(_RING_BURSTS if self._ring is not None else 0):
+            if not self._receive():
+                break
+
     def _depart(self) -> None:
         """Send what is due; what becomes due meanwhile waits for the next turn."""
         departures, send = self._departures, self._send
@@ -158,8 +166,10 @@ class Air:
         if isinstance(request, Setup):
             self._set_up(request)
         elif isinstance(request, SetPairs):
+            self._catch_up()
             self._medium.set_pairs(request.changes)
         elif isinstance(request, SetOutage):
+            self._catch_up()
             self._medium.set_outage(request.pairs, active=request.active)
         elif isinstance(request, RecordVerdicts):
             self._record(fds[0])

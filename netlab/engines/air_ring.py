@@ -31,7 +31,7 @@ _ETH_P_8021Q = 0x8100
 _HEADROOM = 256  # slot header and alignment, with room to spare
 _BLOCK_BYTES = 1 << 16
 _RING_BYTES = 8 << 20
-_SLOTS_MAX = 4096
+SLOTS_MAX = 4096
 
 #: (interface index, seconds and nanoseconds of CLOCK_REALTIME, frame)
 Arrival = tuple[int, int, int, bytes]
@@ -50,7 +50,7 @@ class Ring:
         while slot_bytes < mtu + _HEADROOM:
             slot_bytes *= 2
         block_bytes = max(_BLOCK_BYTES, slot_bytes)
-        slots = max(min(_RING_BYTES // slot_bytes, _SLOTS_MAX), block_bytes // slot_bytes)
+        slots = max(min(_RING_BYTES // slot_bytes, SLOTS_MAX), block_bytes // slot_bytes)
         # Receives at once; the kernel empties the queue when the ring replaces it.
         self._sock = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
         self._sock.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V2)
