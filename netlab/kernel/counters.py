@@ -20,7 +20,7 @@ _IFINFOMSG = struct.Struct("=BxHiII")
 _ATTRIBUTE = struct.Struct("=HH")
 _NESTED = 0x8000
 
-_TCA_KIND, _TCA_STATS2 = 1, 7
+_TCA_KIND, _TCA_OPTIONS, _TCA_STATS2 = 1, 2, 7
 _TCA_STATS_QUEUE = 3
 _QUEUE_STATS = struct.Struct("=5I")  # qlen, backlog, drops, requeues, overlimits
 _ROOT = 0xFFFFFFFF
@@ -39,13 +39,14 @@ class QdiscCounters:
     """One qdisc since it was made, but for ``waiting``, which is now. All count frames.
 
     sch_netem counts what its loss model takes and what finds its queue full alike as ``drops``, and what leaves ahead
-    of the delayed frames as ``requeues``.
+    of the delayed frames as ``requeues``. ``options`` are the qdisc's settings as the kernel dumps them.
     """
 
     kind: str
     waiting: int
     drops: int
     requeues: int
+    options: bytes = b""
 
 
 def root_qdiscs(sock: NetlinkSocket) -> dict[int, QdiscCounters]:
@@ -56,7 +57,8 @@ def root_qdiscs(sock: NetlinkSocket) -> dict[int, QdiscCounters]:
         if parent == _ROOT:
             attrs = attributes(answer, HEADER.size + _TCMSG.size)
             waiting, _, drops, requeues, _ = _queue_stats(attrs.get(_TCA_STATS2, b""))
-            found[index] = QdiscCounters(_text(attrs[_TCA_KIND]), waiting, drops, requeues)
+            options = attrs.get(_TCA_OPTIONS, b"")
+            found[index] = QdiscCounters(_text(attrs[_TCA_KIND]), waiting, drops, requeues, options)
     return found
 
 

@@ -95,8 +95,24 @@ def _traffic_control() -> list[Finding]:
             detail=features.netem_problem or "",
             remedy="" if features.netem_problem is None else "nothing: the air engine does the same without it",
         ),
+        *_netem_details(features),
         Finding("frame classifiers", bool(kinds), "the netem engine", detail=kinds or "neither cls_flower nor cls_u32"),
         Finding("cls_bpf", features.bpf, "nothing yet"),
+    ]
+
+
+def _netem_details(features: probe.TcFeatures) -> list[Finding]:
+    if features.netem_problem is not None:
+        return []
+    without = "random impairments differ from run to run; the air engine's do not"
+    return [
+        Finding(
+            "netem seed",
+            features.netem_seed,
+            "the same losses in every run",
+            detail="" if features.netem_seed else without,
+        ),
+        Finding("netem duplication", features.netem_duplicates, "`duplicate` on the netem engine"),
     ]
 
 

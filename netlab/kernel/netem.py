@@ -19,6 +19,7 @@ from typing import Any
 from pyroute2.netlink import nla
 
 from netlab.kernel.delay_tables import delay_table
+from netlab.kernel.netlink import attributes
 from netlab.medium.impairments import (
     Distribution,
     FourStateLoss,
@@ -31,6 +32,8 @@ from netlab.medium.impairments import (
 )
 
 _U32_MAX = 0xFFFFFFFF
+_QOPT_BYTES = 24  # struct tc_netem_qopt
+_PRNG_SEED = 14
 _NO_LIMIT_PACKETS = 0x7FFFFFFF
 _NS_PER_S = 1_000_000_000
 _TICK_NS = 64  # PSCHED_SHIFT in net/pkt_sched.h
@@ -165,6 +168,11 @@ def netem_options(impairment: Impairment, *, seed: int, replace_table: bool) -> 
             *_delay_table(impairment, replace_table),
         ],
     }
+
+
+def tells_seed(options: bytes) -> bool:
+    """Whether a netem's settings, as the kernel dumps them, have a seed: older kernels (before 6.6) know none."""
+    return _PRNG_SEED in attributes(options, _QOPT_BYTES)
 
 
 def uses_table(impairment: Impairment) -> bool:

@@ -19,8 +19,10 @@ from typing import TypeVar
 
 from netlab.kernel import batman, messages, syscalls, tc
 from netlab.kernel import namespaces as netns
+from netlab.kernel.counters import root_qdiscs
+from netlab.kernel.netem import tells_seed
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
-from netlab.medium.impairments import PERFECT
+from netlab.medium.impairments import PERFECT, Impairment
 
 Result = TypeVar("Result")
 
@@ -50,11 +52,18 @@ _USERNS_SWITCHES = (
 
 @dataclass(frozen=True, slots=True)
 class TcFeatures:
-    """What traffic control offers; ``netem_problem`` None means that sch_netem works."""
+    """What traffic control offers; ``netem_problem`` None means that sch_netem works.
+
+    ``netem_seed``: netem takes a seed. ``netem_duplicates``: it may duplicate frames where it is the only netem of an
+    interface, as in the lab; ``netem_duplicates_beside_netem``: also beside another (many kernels since 2025 refuse).
+    """
 
     netem_problem: str | None
     classifiers: tuple[tc.Classifier, ...]
     bpf: bool
+    netem_seed: bool = False
+    netem_duplicates: bool = False
+    netem_duplicates_beside_netem: bool = False
 
 
 def explain_userns_denied(proc_sys: Path = _PROC_SYS) -> str:
@@ -208,11 +217,29 @@ def tc_features() -> TcFeatures:
         os.close(netns.enter_new())
         with contextlib.closing(NetlinkSocket()) as sock:
             netem = _refusal(sock, tc.add_netem(_LO, PERFECT, seed=1))
+            seed = netem is None and tells_seed(root_qdiscs(sock)[_LO].options)
+            alone, beside = _duplicates(sock) if netem is None else (False, False)
             ingress = _refusal(sock, tc.add_clsact(_LO))
             works = tuple(c for c in tc.Classifier if ingress is None and _classifies(sock, c))
             bpf = ingress is None and _knows_filter(sock, "bpf")
     problem = None if netem is None else "this kernel has no sch_netem" if netem.errno == errno.ENOENT else str(netem)
-    return TcFeatures(netem_problem=problem, classifiers=works, bpf=bpf)
+    return TcFeatures(
+        netem_problem=problem,
+        classifiers=works,
+        bpf=bpf,
+        netem_seed=seed,
+        netem_duplicates=alone,
+        netem_duplicates_beside_netem=beside,
+    )
+
+
+def _duplicates(sock: NetlinkSocket) -> tuple[bool, bool]:
+    """Whether the loopback's netem may duplicate: alone, and with another netem inside it."""
+    order = tc.change_netem(_LO, Impairment(duplicate_ratio=0.5), seed=2, replace_table=False)
+    alone = _refusal(sock, order) is None
+    _refusal(sock, tc.change_netem(_LO, PERFECT, seed=3, replace_table=False))
+    beside = _refusal(sock, tc.add_inner_netem(_LO)) is None and _refusal(sock, order) is None
+    return alone, beside
 
 
 def _classifies(sock: NetlinkSocket, classifier: tc.Classifier) -> bool:

@@ -28,7 +28,7 @@ from netlab.kernel.messages import (
 )
 from netlab.kernel.netem import NetemOptions, netem_options
 from netlab.kernel.templates import Template
-from netlab.medium.impairments import Impairment
+from netlab.medium.impairments import PERFECT, Impairment
 
 ACTIONS_MAX = 31  # TCA_ACT_MAX_PRIO in linux/pkt_cls.h, less the unused number 0
 
@@ -143,6 +143,12 @@ def add_netem(ifindex: int, impairment: Impairment, *, seed: int) -> bytes:
         ValueError: sch_netem cannot express the impairment.
     """
     return _netem(ifindex, impairment, seed, False, NLM_F_CREATE | NLM_F_EXCL)
+
+
+def add_inner_netem(ifindex: int) -> bytes:
+    """Put another netem inside that qdisc; the lab never does, but some kernels then refuse things: to try them."""
+    options = netem_options(PERFECT, seed=_MARK_SEED, replace_table=False)
+    return _encode(ifindex, RTM_NEWQDISC, "netem", options, handle=_NETEM_HANDLE + 0x10000, parent=_NETEM_HANDLE + 1)
 
 
 def change_netem(ifindex: int, impairment: Impairment, *, seed: int, replace_table: bool) -> bytes:
