@@ -12,6 +12,7 @@ from udp_mesh.core.rtt import RttEstimator
 class AckSample:
     """What one acknowledgement says about a path. ``one_way_s`` is meaningful up to a constant, None without a sample.
 
+    ``newest_bytes``: size of the packet that gave ``one_way_s``; ``received_us``: its arrival, see :class:`Ack`.
     ``is_limited``: the window, not the application, held the sender back. ``lost_packets``: found lost with it.
     """
 
@@ -19,6 +20,8 @@ class AckSample:
     acked_packets: int
     lost_packets: int
     one_way_s: float | None
+    received_us: int
+    newest_bytes: int
     rate_bps: float
     is_limited: bool
 

@@ -139,6 +139,8 @@ class Receiver:
             acked_packets=len(outcome.acked),
             lost_packets=len(outcome.lost),
             one_way_s=outcome.one_way_s if outcome.rtt_sampled else None,
+            received_us=outcome.received_us,
+            newest_bytes=outcome.newest_bytes,
             rate_bps=outcome.rate_bps,
             is_limited=was_limited,
         )

@@ -41,6 +41,8 @@ class AckOutcome:
     acked_bytes: int = 0
     rtt_sampled: bool = False
     one_way_s: float = 0.0
+    received_us: int = 0
+    newest_bytes: int = 0
     rate_bps: float = 0.0
 
 
@@ -136,6 +138,7 @@ class Recovery:
             self.rtt.update(now - newest.sent_at_s, ack_delay_s=ack.delay_us / 1e6)
             outcome.rtt_sampled = True
             outcome.one_way_s = _one_way_s(ack.received_us, newest.sent_at_s)
+            outcome.received_us, outcome.newest_bytes = ack.received_us, newest.size_bytes
         self._delivered_bytes += outcome.acked_bytes
         elapsed_s = now - newest.delivered_at_s
         if elapsed_s > 0:

@@ -7,7 +7,7 @@ from random import Random
 
 from udp_mesh.core import wire
 from udp_mesh.core.congestion import CongestionControl, FixedWindow
-from udp_mesh.core.copa import Copa
+from udp_mesh.core.delay_control import DelayControl
 from udp_mesh.core.events import Event
 from udp_mesh.core.peer import Lane, Peer
 from udp_mesh.core.reassembly import ReassemblyMemory
@@ -52,4 +52,4 @@ class NodeState:
         """Return the congestion control that the settings ask for."""
         if self.settings.window:
             return FixedWindow(self.settings.window, datagram_bytes=self.settings.payload_bytes)
-        return Copa(datagram_bytes=self.settings.payload_bytes, now=now)
+        return DelayControl(datagram_bytes=self.settings.payload_bytes, now=now)

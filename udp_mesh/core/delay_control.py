@@ -1,0 +1,213 @@
+"""Congestion control on queueing delay: a packet or two wait at the bottleneck, whatever its rate.
+
+Theory of operation, after FAST TCP (Wei, Jin, Low and Hegde, IEEE/ACM Transactions on Networking 14(6), 2006, eq. 6):
+once per round trip the window moves by ``GAIN`` times the difference between the bytes that should wait at the
+bottleneck and those that do, which are window * queueing delay / round trip. Every flow keeps equally many packets
+waiting there, so flows share fairly. What differs from the paper:
+
+* Delay is one-way, on the forward path (the receiver stamps arrivals), so a busy return path does not slow us. It is
+  compared among full packets only, as long as there are any: small ones take less time to serialise.
+* The queueing delay of a round is the least that was seen in it. A delay that hits everything at once (a node that
+  stands still) ends within the round and is no queue.
+* On fast links a packet is too small a unit: there ``UNIT_S`` worth of the rate waits.
+* While no queue is seen for several rounds the steps double, up to ``MAX_GROWTH`` of the window: a link that got
+  faster is found.
+* Our own standing queue would pass for the path's base delay once every older sample is forgotten. So every
+  ``DRAIN_INTERVAL_S`` one round keeps so much less in flight that the queue runs empty.
+* Loss alone says nothing on a radio. Only loss of more than ``HEAVY_LOSS_RATIO`` over whole windows shrinks the window.
+* Packets leave at ``PACING_GAIN`` times window per round trip. A few urgent packets may exceed window and pace.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from udp_mesh.core.congestion import AckSample
+from udp_mesh.core.rtt import RttEstimator
+from udp_mesh.core.windowed import WindowedMinimum
+
+TARGET_PACKETS = 1.0
+UNIT_S = 0.001
+GAIN = 0.5
+PACING_GAIN = 1.25
+START_GAIN = 2.0
+MAX_GROWTH = 0.25
+CALM_ROUNDS = 3
+BASE_WINDOW_S = 10.0
+DRAIN_INTERVAL_S = 1.0
+DRAIN_ROUNDS = 10
+FULL_SHARE = 0.9
+MIN_PACKETS = 2
+INITIAL_PACKETS = 8
+MAX_CWND_BYTES = 64 * 1024 * 1024
+URGENT_PACKETS = 4
+HEAVY_LOSS_RATIO = 0.35
+HEAVY_LOSS_BACKOFF = 0.8
+HEAVY_LOSS_SAMPLE = 20
+_STANDING_SAMPLES = 3
+_RATE_SAMPLES = 8
+
+
+class DelayControl:
+    """One flow's window."""
+
+    urgent_packets = URGENT_PACKETS
+
+    def __init__(self, *, datagram_bytes: int, now: float) -> None:
+        self.datagram_bytes = datagram_bytes
+        self.rate_bps = 0.0
+        self.queue_delay_s = 0.0
+        self._cwnd = float(INITIAL_PACKETS * datagram_bytes)
+        self._held_back_bytes = 0.0  # of the window, while the queue is drained
+        self._rtt_s = 0.0
+        self._base = WindowedMinimum()
+        self._small_base = WindowedMinimum()
+        self._rtt_base = WindowedMinimum()
+        self._full_at_s = float("-inf")
+        self._standing: deque[float] = deque(maxlen=_STANDING_SAMPLES)
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=_RATE_SAMPLES)  # (received_us, bytes acknowledged)
+        self._acked_bytes = 0
+        self._in_slow_start = True
+        self._queue_seen = False
+        self._velocity = 1.0
+        self._calm_rounds = 0
+        self._drain_at_s = now
+        self._skips_rounds = 0
+        self._acked_packets = 0
+        self._lost_packets = 0
+        self._begin_round(now=now)
+
+    @property
+    def cwnd_bytes(self) -> int:
+        """Bytes that may be in flight."""
+        return int(max(self._cwnd - self._held_back_bytes, MIN_PACKETS * self.datagram_bytes))
+
+    @property
+    def pacing_rate_bps(self) -> float | None:
+        """Window per round trip times a gain; None before the first round trip is known."""
+        if self._rtt_s <= 0:
+            return None
+        return (START_GAIN if self._in_slow_start and not self._queue_seen else PACING_GAIN) * 8 * self._cwnd / self._rtt_s
+
+    def on_ack(self, sample: AckSample, *, rtt: RttEstimator, now: float) -> None:
+        """Take one acknowledgement; once per round trip the window moves."""
+        self._acked_packets += sample.acked_packets
+        self._lost_packets += sample.lost_packets
+        self._acked_bytes += sample.acked_bytes
+        self._round_bytes += sample.acked_bytes
+        if sample.is_limited:
+            self._limited_bytes += sample.acked_bytes
+        if sample.rate_bps:
+            gain = 0.125 if sample.is_limited or sample.rate_bps > self.rate_bps else 0.0
+            self.rate_bps += gain * (sample.rate_bps - self.rate_bps)
+        if sample.one_way_s is not None:
+            self._measure(sample, sample.one_way_s, rtt=rtt, now=now)
+        if self._rtt_s <= 0 or not sample.acked_bytes:
+            return
+        if self._in_slow_start:
+            self._slow_start(sample)
+        if now >= self._round_ends_s:
+            self._end_round(now=now)
+        self._clamp()
+
+    def _measure(self, sample: AckSample, one_way_s: float, *, rtt: RttEstimator, now: float) -> None:
+        is_full = sample.newest_bytes >= FULL_SHARE * self.datagram_bytes
+        base_s = (self._base if is_full else self._small_base).update(one_way_s, window_s=BASE_WINDOW_S, now=now)
+        rtt_base_s = self._rtt_base.update(rtt.latest_s, window_s=BASE_WINDOW_S, now=now)
+        self._arrivals.append((sample.received_us, self._acked_bytes))
+        if is_full:
+            self._full_at_s = now
+        elif now - self._full_at_s < DRAIN_INTERVAL_S:
+            return
+        self._standing.append(one_way_s - base_s)
+        self._round_delay_s = min(self._round_delay_s, one_way_s - base_s)
+        self.queue_delay_s = min(self._standing)
+        self._rtt_s = rtt_base_s + self.queue_delay_s
+
+    def _slow_start(self, sample: AckSample) -> None:
+        """Double per round trip until a queue shows; then go to what the bottleneck delivers while it has one."""
+        if not self._queue_seen:
+            if self.queue_delay_s <= self._start_target_s():
+                if sample.is_limited:
+                    self._cwnd += sample.acked_bytes
+                return
+            self._queue_seen = True
+            self._arrivals.clear()
+        elif len(self._arrivals) == _RATE_SAMPLES:
+            (first_us, first_bytes), (last_us, last_bytes) = self._arrivals[0], self._arrivals[-1]
+            elapsed_s = ((last_us - first_us) & 0xFFFFFFFF) / 1e6
+            if elapsed_s > 0:
+                bandwidth_delay = (last_bytes - first_bytes) / elapsed_s * (self._rtt_s - self.queue_delay_s)
+                self._cwnd = min(self._cwnd, bandwidth_delay + self._target_bytes())
+            self._in_slow_start = self._queue_seen = False
+            self._skips_rounds = 2  # what is in flight still shows the overshoot
+
+    def _start_target_s(self) -> float:
+        return 2 * self._target_bytes() * self._rtt_s / self._cwnd
+
+    def _target_bytes(self) -> float:
+        """Return what should wait at the bottleneck."""
+        return max(TARGET_PACKETS * self.datagram_bytes, UNIT_S * self._cwnd / self._rtt_s)
+
+    def _begin_round(self, *, now: float) -> None:
+        self._round_ends_s = now + self._rtt_s
+        self._round_delay_s = float("inf")
+        self._round_bytes = 0
+        self._limited_bytes = 0
+
+    def _end_round(self, *, now: float) -> None:
+        self._check_loss()
+        delay_s = self._round_delay_s
+        is_limited = 2 * self._limited_bytes >= self._round_bytes
+        self._held_back_bytes = 0.0
+        if self._skips_rounds:
+            self._skips_rounds -= 1
+        elif not self._in_slow_start and delay_s < float("inf"):
+            self._move(delay_s, is_limited=is_limited)
+            self._drain(delay_s, now=now)
+        self._begin_round(now=now)
+
+    def _move(self, delay_s: float, *, is_limited: bool) -> None:
+        waiting = self._cwnd * delay_s / (self._rtt_s - self.queue_delay_s + delay_s)
+        target = self._target_bytes()
+        if waiting > target / 2:
+            self._calm_rounds, self._velocity = 0, 1.0
+        if waiting < target and not is_limited:
+            return
+        if waiting <= target / 2:
+            self._calm_rounds += 1
+            if self._calm_rounds > CALM_ROUNDS:
+                self._velocity *= 2
+        step = GAIN * (target - waiting) * self._velocity
+        most = max(MAX_GROWTH * self._cwnd, self.datagram_bytes)
+        if step >= most:
+            step, self._velocity = most, self._velocity / 2
+        self._cwnd += max(step, -self._cwnd / 2)
+
+    def _drain(self, delay_s: float, *, now: float) -> None:
+        if now < self._drain_at_s:
+            return
+        self._drain_at_s = now + max(DRAIN_INTERVAL_S, DRAIN_ROUNDS * self._rtt_s)
+        self._held_back_bytes = self._cwnd * delay_s / self._rtt_s + self.datagram_bytes
+        self._skips_rounds = 2
+
+    def _check_loss(self) -> None:
+        total = self._acked_packets + self._lost_packets
+        if total < HEAVY_LOSS_SAMPLE:
+            return
+        if self._lost_packets > HEAVY_LOSS_RATIO * total:
+            self._in_slow_start = False
+            self._cwnd *= HEAVY_LOSS_BACKOFF
+        self._acked_packets = self._lost_packets = 0
+
+    def _clamp(self) -> None:
+        self._cwnd = min(max(self._cwnd, MIN_PACKETS * self.datagram_bytes), MAX_CWND_BYTES)
+
+    def on_return(self, *, now: float) -> None:
+        """Measure delays afresh; keep window and rate."""
+        for samples in (self._base, self._small_base, self._rtt_base, self._standing, self._arrivals):
+            samples.clear()
+        self.queue_delay_s = self._held_back_bytes = 0.0
+        self._velocity, self._calm_rounds = 1.0, 0
+        self._acked_packets = self._lost_packets = 0
+        self._begin_round(now=now)
