@@ -158,9 +158,7 @@ class Rig:
         """Publish zeros to the other node; None if refused."""
         node = self.nodes[sender]
         try:
-            number = node.core.publish(
-                topic, bytes(size_bytes), to="ab"[sender == "a"], policy=policy, now=self.now
-            )
+            number = node.core.publish(topic, bytes(size_bytes), to="ab"[sender == "a"], policy=policy, now=self.now)
         except Refused:
             return None
         self.at(node.stalled_until(self.now), lambda: self._turn(node))
@@ -245,5 +243,12 @@ def saturate(
     gaps = [y - x for x, y in zip([begin_s, *times], [*times, end_s], strict=True)]
     share = DATA_BYTES / (DATAGRAM_BYTES + 42)
     return Outcomes(
-        bulk_bps / (rate_bps * share) if rate_bps else 0.0, bulk_bps, excess, base_s, max(gaps, default=duration_s), len(rig.queued), len(delivered) - len(first), rig
+        utilisation=bulk_bps / (rate_bps * share) if rate_bps else 0.0,
+        bulk_bps=bulk_bps,
+        excess_s=excess,
+        base_s=base_s,
+        longest_bulk_gap_s=max(gaps),
+        queue_drops=len(rig.queued),
+        duplicates=len(delivered) - len(first),
+        rig=rig,
     )

@@ -75,7 +75,10 @@ class DelayControl:
         self._skips_rounds = 0
         self._acked_packets = 0
         self._lost_packets = 0
-        self._begin_round(now=now)
+        self._round_ends_s = now
+        self._round_delay_s = float("inf")
+        self._round_bytes = 0
+        self._limited_bytes = 0
 
     @property
     def cwnd_bytes(self) -> int:
@@ -87,7 +90,9 @@ class DelayControl:
         """Window per round trip times a gain; None before the first round trip is known."""
         if self._rtt_s <= 0:
             return None
-        return (START_GAIN if self._in_slow_start and not self._queue_seen else PACING_GAIN) * 8 * self._cwnd / self._rtt_s
+        return (
+            (START_GAIN if self._in_slow_start and not self._queue_seen else PACING_GAIN) * 8 * self._cwnd / self._rtt_s
+        )
 
     def on_ack(self, sample: AckSample, *, rtt: RttEstimator, now: float) -> None:
         """Take one acknowledgement; once per round trip the window moves."""
