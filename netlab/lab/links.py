@@ -40,7 +40,14 @@ class Links:
         return self._impairments[pair]
 
     def set_pairs(self, changes: dict[Pair, Impairment | None]) -> None:
-        """Change pairs."""
+        """Change pairs.
+
+        Raises:
+            LabError: A signal strength for what is no 802.11 radio; nothing is changed then.
+        """
+        for pair, impairment in changes.items():
+            if impairment is not None and impairment.rssi_dbm is not None and self._segment_of[pair].wifi is None:
+                raise LabError("rssi belongs to 802.11 radios (radio: driver: hwsim); remove it")
         self._engine.set_pairs(changes)
         self._impairments.update(changes)
 

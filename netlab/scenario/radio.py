@@ -220,6 +220,8 @@ class Radio(Words):
         if self.driver == "engine":
             given = {type(self).model_fields[name].alias or name for name in self.model_fields_set}
             misplaced = [key for key in _HWSIM_KEYS if key in given]
+            if "frequency" in misplaced:
+                return "frequency is not available yet without driver: hwsim; remove it"
             return f"{misplaced[0]} belongs to 802.11 radios; add driver: hwsim or remove it" if misplaced else None
         if self.mode == "mesh" and self.ssid is not None:
             return "ssid names an ad-hoc network, and this is a mesh; write mesh_id, or mode: ibss"
