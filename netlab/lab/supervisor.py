@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from netlab.capture.metadata import run_metadata
-from netlab.clock import clock_here
+from netlab.clock import begin_in_step, clock_here
 from netlab.engines import mesh_interfaces
 from netlab.engines.choose import make_engine
 from netlab.engines.plan import compile_plan, hosts
@@ -78,6 +78,7 @@ class Supervisor:
         mesh_interfaces.check_kernel(self.plan)
         self._engine_name, self._engine = make_engine(self._options.engine, self.plan, later)
         channel, _pid = start_module("netlab.lab.spawner")
+        begin_in_step()
         self._bring_up_s = self._engine.bring_up()
         self._bring_up_s += mesh_interfaces.bring_up(self.plan, self._engine.namespace_fds)
         self.links = Links(self.plan, self._engine)
