@@ -139,8 +139,9 @@ class Net:
             if core is None:
                 continue
             while datagrams := core.datagrams_to_send(now=self.now):
-                for datagram in datagrams:
-                    self._send(name, datagram)
+                for burst in datagrams:
+                    for data in burst.segments():
+                        self._send(name, Datagram(burst.path, data))
             while (event := core.next_event()) is not None:
                 self.events[name].append(event)
 

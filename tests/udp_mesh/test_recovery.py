@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from udp_mesh.core.recovery import Recovery
+from udp_mesh.core.messages import Message, Transfer
+from udp_mesh.core.recovery import Recovery, SentRun
 from udp_mesh.core.rtt import RttEstimator
+from udp_mesh.core.settings import TopicPolicy
 from udp_mesh.core.wire import Ack
 
 
@@ -104,3 +108,69 @@ def test_probe_timeouts_on_slow_paths_are_never_below_what_the_path_takes() -> N
         rtt.update(sample_s, ack_delay_s=0.0)
     base_s = rtt.srtt_s + 4 * rtt.rttvar_s
     assert all(rtt.probe_timeout_s(expirations=count) == base_s for count in range(5))
+
+
+class Twins:
+    """The same packets twice: in runs, and each on its own. Whatever happens, both must say the same."""
+
+    def __init__(self) -> None:
+        self.runs = Recovery(rtt=RttEstimator(), now=0.0)
+        self.singles = Recovery(rtt=RttEstimator(), now=0.0)
+
+    def send(self, count: int, *, priority: int, now: float) -> None:
+        number = self.runs.take_packet_number(count)
+        transfer = Transfer(
+            Message(number, "t", bytes(100 * count), TopicPolicy(), datagram_bytes=137, now=now), "b", (0, 0.0, 0)
+        )
+        self.runs.on_sent(number, count=count, size_bytes=100, priority=priority, parts=((transfer, 0),), now=now)
+        for k in range(count):
+            assert self.singles.take_packet_number() == number + k
+            self.singles.on_sent(number + k, size_bytes=100, priority=priority, parts=((transfer, k),), now=now)
+
+    def compare(self, runs: list[SentRun], singles: list[SentRun]) -> None:
+        assert [piece for run in runs for piece in pieces(run)] == [piece for run in singles for piece in pieces(run)]
+        assert (len(self.runs), self.runs.in_flight_bytes) == (len(self.singles), self.singles.in_flight_bytes)
+        assert self.runs.next_timer() == self.singles.next_timer()
+        assert self.runs.lost_packets == self.singles.lost_packets
+        assert self.runs.spurious_losses == self.singles.spurious_losses
+        assert self.runs.urgent_in_flight(1) == self.singles.urgent_in_flight(1)
+
+    def ack(self, frame: Ack, *, now: float) -> None:
+        one, other = self.runs.on_ack(frame, now=now), self.singles.on_ack(frame, now=now)
+        assert one is not None
+        assert other is not None
+        self.compare(one.acked, other.acked)
+        self.compare(one.lost, other.lost)
+        assert (one.acked_packets, one.acked_bytes) == (other.acked_packets, other.acked_bytes)
+        assert (one.rtt_sampled, one.rate_bps, one.lost_packets) == (
+            other.rtt_sampled,
+            other.rate_bps,
+            other.lost_packets,
+        )
+
+
+def pieces(run: SentRun) -> list[SentRun]:
+    return [run.cut(number, number) for number in range(run.packet_number, run.last + 1)]
+
+
+@given(st.data())
+def test_runs_mean_what_their_packets_mean(data: st.DataObject) -> None:
+    twins, now = Twins(), 0.0
+    for _ in range(data.draw(st.integers(1, 15), label="steps")):
+        now += data.draw(st.sampled_from([0.0, 0.001, 0.02, 0.2]), label="pause")
+        sent = twins.runs.next_packet_number
+        action = data.draw(st.sampled_from(["send", "ack", "ack", "time", "probe", "abandon"]), label="action")
+        if action == "send" or not sent:
+            twins.send(data.draw(st.integers(1, 9)), priority=data.draw(st.integers(0, 2)), now=now)
+        elif action == "ack":
+            numbers = sorted(data.draw(st.sets(st.integers(0, sent - 1), min_size=1, max_size=6)))
+            edges = [(first, last) for first, last in zip(numbers, [*numbers[1:], numbers[-1]], strict=True)]
+            ranges = [(a, max(a, b - 2) if (a, b) != edges[-1] else b) for a, b in edges]
+            twins.ack(Ack(tuple(reversed(ranges)), received_us=0, delay_us=0), now=now)
+        elif action == "time":
+            twins.compare(twins.runs.detect_lost(now=now), twins.singles.detect_lost(now=now))
+        elif action == "probe" and len(twins.runs):
+            one, other = (recovery.on_probe_timeout(now=now) for recovery in (twins.runs, twins.singles))
+            twins.compare([one], [other])
+        elif action == "abandon":
+            twins.compare(twins.runs.abandon(), twins.singles.abandon())

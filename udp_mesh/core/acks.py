@@ -40,6 +40,21 @@ class AckTracker:
         elif self._due_at_s is None:
             self._due_at_s = now + MAX_ACK_DELAY_S
 
+    def is_new_run(self, packet_number: int) -> bool:
+        """Whether this packet and all later ones were never received."""
+        return packet_number > self._numbers.highest and packet_number >= self._numbers.floor
+
+    def record_run(self, first: int, last: int, *, ack_now: bool, now: float) -> None:
+        """Remember a run of packets with data, of which :meth:`is_new_run` holds."""
+        in_order = first == self._numbers.highest + 1
+        self._numbers.add_range(first, last)
+        self._highest_at_s = now
+        self._pending += last - first + 1
+        if ack_now or not in_order or self._pending >= PACKETS_PER_ACK:
+            self._due_at_s = now
+        elif self._due_at_s is None:
+            self._due_at_s = now + MAX_ACK_DELAY_S
+
     def repeat(self, *, now: float) -> None:
         """Acknowledge at once what is known already: a duplicate may mean that the acknowledgement was lost."""
         if self._numbers:

@@ -193,8 +193,8 @@ class Liveness:
         peer.down_since_s = now
         peer.waiting_since_s = None
         peer.session.ping_wanted = False
-        for packet in peer.session.recovery.abandon():
-            self._outbox.retry(packet.parts, packet_number=packet.packet_number, now=now)
+        for run in peer.session.recovery.abandon():
+            self._outbox.retry(run, now=now)
         self._outbox.on_peer_offline(peer, now=now)
         self._state.events.append(PeerDown(now, peer.name, peer.session.epoch, reason))
 
@@ -265,5 +265,5 @@ class Liveness:
         for message_id, partial in purged:
             self._state.counters["partials_purged"] += 1
             self._state.events.append(
-                PartialPurged(now, message_id, peer.name, len(partial.parts), partial.fragment_count, is_settled)
+                PartialPurged(now, message_id, peer.name, partial.received_count, partial.fragment_count, is_settled)
             )

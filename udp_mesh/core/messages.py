@@ -10,6 +10,7 @@ from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
 
 SortKey = tuple[int, float, int]
 _SENT, _ACKED, _WAITS_AGAIN = range(3)  # state of a fragment; one that was never sent counts as sent
+_ACKED_BYTE = bytes((_ACKED,))
 
 
 class Message:
@@ -72,6 +73,20 @@ class Message:
     def survives_offline(self) -> bool:
         """Whether it waits, as the newest of its topic, for a peer that is offline."""
         return self.policy.offline is Offline.LATEST
+
+    def payloads(self, index: int, count: int) -> list[memoryview]:
+        """Return what ``count`` fragments from ``index`` on carry; the last fragment must not be among them."""
+        size, payload = self._rest_bytes, self.payload
+        start = self.first_bytes + (index - 1) * size
+        views = [payload[at : at + size] for at in range(start, start + count * size, size)]
+        if index == 0:
+            views[0] = payload[: self.first_bytes]
+        return views
+
+    @property
+    def topic_prefix(self) -> bytes:
+        """What precedes the payload of fragment 0."""
+        return bytes((len(self.topic_bytes),)) + self.topic_bytes
 
     def fragment(self, index: int) -> tuple[bytes, memoryview]:
         """Return the wire header and the payload of one fragment."""
@@ -156,22 +171,38 @@ class Transfer:
             heapq.heappop(self._again)  # arrived meanwhile
         return self.next_index if self.next_index < self.message.fragment_count else None
 
-    def advance(self, packet_number: int) -> None:
-        """Count the fragment of :meth:`peek` as sent in this packet."""
-        if self._again:
+    def run_length(self, limit: int) -> int:
+        """Return how many fragments from :meth:`peek` on may leave as one run: consecutive and not the last one."""
+        last = self.message.fragment_count - 1
+        index = self.peek()
+        if index is None:
+            return 0
+        end = min(index + limit, last)
+        if not self._again:
+            return max(0, end - index)
+        at = index
+        while at < end and self._state[at] == _WAITS_AGAIN:
+            at += 1
+        return at - index
+
+    def advance(self, packet_number: int, count: int = 1) -> None:
+        """Count ``count`` fragments from :meth:`peek` on as sent, in the packets from this number on."""
+        if not self._again:
+            self.next_index += count
+            return
+        for number in range(packet_number, packet_number + count):
             index = heapq.heappop(self._again)
             self._state[index] = _SENT
-            self._last_number[index] = packet_number
-        else:
-            self.next_index += 1
+            self._last_number[index] = number
 
-    def acknowledge(self, index: int) -> bool:
-        """Note that a fragment has arrived; False if that was known."""
-        if self._state[index] == _ACKED:
-            return False
-        self._state[index] = _ACKED
-        self.acked_count += 1
-        return True
+    def acknowledge(self, index: int, count: int = 1) -> bool:
+        """Note that ``count`` fragments have arrived; False if that was known of all of them."""
+        end = index + count
+        new = count - self._state.count(_ACKED, index, end)
+        if new:
+            self._state[index:end] = _ACKED_BYTE * count
+            self.acked_count += new
+        return new > 0
 
     def send_again(self, indices: Iterable[int]) -> bool:
         """Queue fragments once more, unless they have arrived or wait already; True if any was queued."""

@@ -10,12 +10,12 @@ message that has begun only makes room for a more urgent one, or nothing big wou
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable
 
 from udp_mesh.core import wire
 from udp_mesh.core.events import DropReason, MessageAcked, MessageDropped, MessageQueued, RefusalReason
 from udp_mesh.core.messages import Message, Transfer
 from udp_mesh.core.peer import Lane, Peer
+from udp_mesh.core.recovery import SentRun
 from udp_mesh.core.scheduler import Scheduler
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, TopicPolicy
 from udp_mesh.core.state import NodeState
@@ -200,10 +200,10 @@ class Outbox:
             )
         )
 
-    def acknowledge(self, parts: Iterable[tuple[Transfer, int]], *, now: float) -> None:
-        """Note that fragments have arrived; report messages that are complete with them."""
-        for transfer, index in parts:
-            if transfer.is_done or not transfer.acknowledge(index) or not transfer.is_complete:
+    def acknowledge(self, run: SentRun, *, now: float) -> None:
+        """Note that packets have arrived; report messages that are complete with them."""
+        for transfer, index in run.parts:
+            if transfer.is_done or not transfer.acknowledge(index, run.packet_count) or not transfer.is_complete:
                 continue
             self._finish(transfer)
             message = transfer.message
@@ -218,14 +218,19 @@ class Outbox:
         """Forget a broadcast that has left: nobody will acknowledge it."""
         self._finish(transfer)
 
-    def retry(self, parts: Iterable[tuple[Transfer, int]], *, packet_number: int, now: float) -> None:
-        """Queue the fragments of a lost packet again, at their own priority; best-effort messages end here."""
-        for transfer, index in parts:
-            if transfer.is_done or transfer.was_repeated_after(index, packet_number):
+    def retry(self, run: SentRun, *, now: float) -> None:
+        """Queue the fragments of lost packets again, at their own priority; best-effort messages end here."""
+        for transfer, first in run.parts:
+            if transfer.is_done:
                 continue
-            if not transfer.message.is_reliable:
+            indices = [
+                index
+                for index in range(first, first + run.packet_count)
+                if not transfer.was_repeated_after(index, run.packet_number + index - first)
+            ]
+            if indices and not transfer.message.is_reliable:
                 self.drop(transfer, DropReason.LOST, now=now)
-            elif transfer.send_again([index]):
+            elif transfer.send_again(indices):
                 self._state.scheduler.push(transfer)
 
     def start_over(self, transfer: Transfer, *, now: float) -> None:

@@ -3,27 +3,46 @@
 from __future__ import annotations
 
 BURST_S = 0.001
+QUANTUM_S = 0.0005
 
 
 class Pacer:
-    """Lets packets leave at a rate, with at most ``BURST_S`` (or one packet) of arrears caught up at once."""
+    """Lets packets leave at a rate, with at most ``BURST_S`` (or one packet) of arrears caught up at once.
 
-    __slots__ = ("_next_at_s",)
+    Where a packet takes less than ``QUANTUM_S``, packets wait until that much may leave at once: a fast link is filled
+    by bursts, for which one system call is enough.
+    """
+
+    __slots__ = ("_free_at_s", "_next_at_s")
 
     def __init__(self) -> None:
+        self._free_at_s = 0.0  # when what was sent has left at the rate
         self._next_at_s = 0.0
 
     @property
     def next_at_s(self) -> float:
-        """When the next packet may leave."""
+        """When the next packets may leave."""
         return self._next_at_s
 
-    def on_sent(self, size_bytes: int, *, rate_bps: float | None, now: float) -> None:
-        """Count a packet, also one that was let through early: it delays the next."""
+    def packets_now(self, size_bytes: int, *, rate_bps: float | None, limit: int, now: float) -> int:
+        """Return how many packets of one size may leave now, at most ``limit``."""
+        if self._next_at_s > now:
+            return 0
+        if rate_bps is None:
+            return limit
+        arrears_s = now - max(self._free_at_s, now - BURST_S)
+        return min(limit, int(arrears_s * rate_bps / (8 * size_bytes)) + 1)
+
+    def on_sent(self, size_bytes: int, *, count: int = 1, rate_bps: float | None, now: float) -> None:
+        """Count ``count`` packets of one size, also if they were let through early: they delay the next."""
         if rate_bps is None:
             return
-        self._next_at_s = max(self._next_at_s, now - BURST_S) + 8 * size_bytes / rate_bps
+        packet_s = 8 * size_bytes / rate_bps
+        self._free_at_s = max(self._free_at_s, now - BURST_S) + count * packet_s
+        self._next_at_s = self._free_at_s
+        if self._free_at_s > now:
+            self._next_at_s += max(0.0, QUANTUM_S - packet_s)
 
     def reset(self) -> None:
         """Let the next packet leave at once."""
-        self._next_at_s = 0.0
+        self._free_at_s = self._next_at_s = 0.0

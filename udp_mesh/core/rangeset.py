@@ -54,6 +54,19 @@ class RangeSet:
                 self.raise_floor(self._starts[1])
         return True
 
+    def add_range(self, first: int, last: int) -> None:
+        """Add every number from ``first`` to ``last``."""
+        if first <= self.highest or first < self.floor:
+            for number in range(first, last + 1):
+                self.add(number)
+        elif self._ends and first == self._ends[-1] + 1:
+            self._ends[-1] = last
+        else:
+            self._starts.append(first)
+            self._ends.append(last)
+            if len(self._starts) > self.max_ranges:
+                self.raise_floor(self._starts[1])
+
     def raise_floor(self, floor: int) -> None:
         """Count every number below ``floor`` as contained and forget its details."""
         if floor <= self.floor:

@@ -6,12 +6,12 @@ from udp_mesh.core import wire
 from udp_mesh.core.congestion import AckSample
 from udp_mesh.core.events import MessageDelivered, Window
 from udp_mesh.core.liveness import Liveness
-from udp_mesh.core.messages import Transfer
 from udp_mesh.core.outbox import Outbox
 from udp_mesh.core.peer import Path, Peer
 from udp_mesh.core.reassembly import Verdict, WholeMessage
-from udp_mesh.core.recovery import AckOutcome, SentPacket
+from udp_mesh.core.recovery import AckOutcome, SentRun
 from udp_mesh.core.state import NodeState
+from udp_mesh.core.wire_runs import Run, decode_run
 
 WINDOW_EVENT_INTERVAL_S = 0.1
 PROBE_CREDITS = 2
@@ -24,6 +24,39 @@ class Receiver:
         self._state = state
         self._outbox = outbox
         self._liveness = liveness
+
+    def burst(self, data: bytes | memoryview, segment_bytes: int, path: Path, *, now: float) -> None:
+        """Take datagrams of one length (the last may be shorter) that arrived together; runs are taken as a whole."""
+        view = memoryview(data)
+        at = 0
+        while at < len(view):
+            run = decode_run(view[at:], segment_bytes)
+            count = 1 if run is None else len(run.payloads)
+            if run is None or not self._run(run, path, now=now):
+                for _ in range(count):
+                    self.datagram(view[at : at + segment_bytes], path, now=now)
+                    at += segment_bytes
+            else:
+                self._state.counters["datagrams_received"] += count
+                at += count * segment_bytes
+
+    def _run(self, run: Run, path: Path, *, now: float) -> bool:
+        """Take a run that continues what a peer sends us; False, with nothing changed, if it is anything else."""
+        peer = self._state.by_epoch.get(run.epoch)
+        if peer is None or run.destination_tag != self._state.tag:
+            return False
+        acks = peer.session.acks
+        if not acks.is_new_run(run.packet_number):
+            return False
+        result = peer.session.reassembler.take_run(run, now=now)
+        if result is None:
+            return False
+        self._liveness.heard(peer, path, hears_us=True, now=now)
+        if isinstance(result, WholeMessage):
+            self._deliver(peer, result, now=now)
+        last = run.packet_number + len(run.payloads) - 1
+        acks.record_run(run.packet_number, last, ack_now=run.ack_now, now=now)
+        return True
 
     def datagram(self, data: bytes | memoryview, path: Path, *, now: float) -> None:
         """Take one datagram; never raises for what is in it."""
@@ -97,12 +130,7 @@ class Receiver:
         counters = self._state.counters
         result = peer.session.reassembler.take(fragment, now=now)
         if isinstance(result, WholeMessage):
-            counters["messages_delivered"] += 1
-            self._state.events.append(
-                MessageDelivered(
-                    now, result.message_id, result.topic, result.priority, peer.name, result.payload, result.flags
-                )
-            )
+            self._deliver(peer, result, now=now)
             return True
         if result is Verdict.STORED:
             return True
@@ -112,6 +140,14 @@ class Receiver:
             if frame not in peer.session.control:
                 peer.session.control.append(frame)
         return result in (Verdict.DUPLICATE, Verdict.CONTRADICTION)
+
+    def _deliver(self, peer: Peer, whole: WholeMessage, *, now: float) -> None:
+        self._state.counters["messages_delivered"] += 1
+        self._state.events.append(
+            MessageDelivered(
+                now, whole.message_id, whole.topic, whole.about.priority, peer.name, whole.payload, whole.about.flags
+            )
+        )
 
     def _settle(self, peer: Peer, floor: int, *, now: float) -> None:
         purged = peer.session.reassembler.settle_below(floor)
@@ -124,8 +160,8 @@ class Receiver:
         if outcome is None:
             self._state.counters["acks_of_unsent"] += 1
             return
-        for packet in outcome.acked:
-            self._outbox.acknowledge(packet.parts, now=now)
+        for run in outcome.acked:
+            self._outbox.acknowledge(run, now=now)
         self.retry(outcome.lost, now=now)
         if len(recovery) == 0:
             peer.waiting_since_s = None
@@ -136,8 +172,8 @@ class Receiver:
             return
         sample = AckSample(
             acked_bytes=outcome.acked_bytes,
-            acked_packets=len(outcome.acked),
-            lost_packets=len(outcome.lost),
+            acked_packets=outcome.acked_packets,
+            lost_packets=outcome.lost_packets,
             one_way_s=outcome.one_way_s if outcome.rtt_sampled else None,
             received_us=outcome.received_us,
             newest_bytes=outcome.newest_bytes,
@@ -160,10 +196,10 @@ class Receiver:
                 )
             )
 
-    def retry(self, packets: list[SentPacket], *, now: float) -> None:
+    def retry(self, runs: list[SentRun], *, now: float) -> None:
         """Queue what lost packets carried once more."""
-        for packet in packets:
-            self._outbox.retry(packet.parts, packet_number=packet.packet_number, now=now)
+        for run in runs:
+            self._outbox.retry(run, now=now)
 
     def recovery_timer(self, peer: Peer, *, now: float) -> None:
         """Find packets lost by time, or send a probe when everything is silent."""
@@ -177,10 +213,8 @@ class Receiver:
         if not len(recovery) or recovery.probe_at_s > now:
             return
         packet = recovery.on_probe_timeout(now=now)
-        repeated: list[tuple[Transfer, int]] = [
-            part for part in packet.parts if part[0].message.is_reliable and not part[0].is_done
-        ]
-        self._outbox.retry(repeated, packet_number=packet.packet_number, now=now)
+        repeated = tuple(part for part in packet.parts if part[0].message.is_reliable)
+        self._outbox.retry(packet._replace(parts=repeated), now=now)
         if self._state.scheduler.head(peer.name) is None:
             peer.session.ping_wanted = True
         else:

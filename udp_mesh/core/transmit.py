@@ -11,8 +11,11 @@ from udp_mesh.core.outbox import Outbox
 from udp_mesh.core.peer import Path, Peer
 from udp_mesh.core.settings import BROADCAST_NAME
 from udp_mesh.core.state import NodeState
+from udp_mesh.core.wire_runs import encode_run
 
-MAX_DATAGRAMS_PER_TURN = 64
+MAX_DATAGRAMS_PER_TURN = 88
+MAX_RUN_PACKETS = 44  # of 1400 bytes: what the kernel takes in one call
+_MAX_RUN_BYTES = 63_000
 FLOOR_EVERY_MESSAGES = 64
 _FLOOR_BYTES = len(wire.encode_floor(0))
 _MIN_ACK_ROOM_BYTES = 64
@@ -20,10 +23,19 @@ _PING_PRIORITY = 255  # when all is silent, data is worth repeating before a pin
 
 
 class Datagram(NamedTuple):
-    """Bytes for one path. Consecutive ones for the same path and of one size may leave in one system call."""
+    """Bytes for one path: one datagram, or with ``segment_bytes`` several of that length (the last may be shorter).
+
+    Consecutive ones for the same path and of one length may leave in one system call.
+    """
 
     path: Path
     data: bytes
+    segment_bytes: int = 0
+
+    def segments(self) -> list[bytes]:
+        """Return the datagrams one by one."""
+        size = self.segment_bytes or max(1, len(self.data))
+        return [self.data[at : at + size] for at in range(0, len(self.data), size)]
 
 
 class Transmitter:
@@ -45,14 +57,22 @@ class Transmitter:
         def can_send(transfer: Transfer) -> bool:
             return self._may_send(transfer, now=now)
 
-        while len(out) < MAX_DATAGRAMS_PER_TURN:
+        room = MAX_DATAGRAMS_PER_TURN
+        while room > 0:
             transfer = scheduler.pick(can_send)
             if transfer is None:
                 break
             if transfer.peer == BROADCAST_NAME:
                 self._send_broadcast(transfer, out, now=now)
+                room -= 1
+                continue
+            peer = self._state.peers[transfer.peer]
+            count = self._run_length(peer, transfer, limit=room, now=now)
+            if count > 1:
+                out.append(self._run(peer, transfer, count, now=now))
             else:
-                out.append(self._data(self._state.peers[transfer.peer], transfer, now=now))
+                out.append(self._data(peer, transfer, now=now))
+            room -= count
         for peer in self._state.peers.values():
             peer.was_limited = peer.is_online and scheduler.head(peer.name) is not None
         return out
@@ -135,6 +155,46 @@ class Transmitter:
             parts = []
         out.append(self._packet(peer, frames, parts, priority=_PING_PRIORITY, ack_now=True, now=now))
 
+    def _run_length(self, peer: Peer, transfer: Transfer, *, limit: int, now: float) -> int:
+        """Return how many packets of nothing but this message may leave now; less than 2 is no run."""
+        session, congestion = peer.session, peer.congestion
+        message, index = transfer.message, transfer.peek()
+        if index is None or index + 2 >= message.fragment_count:
+            return 1
+        packet_bytes = wire.HEADER_BYTES + message.fragment_bytes(index)
+        window = (congestion.cwnd_bytes - session.recovery.in_flight_bytes) // packet_bytes
+        limit = min(limit, MAX_RUN_PACKETS, _MAX_RUN_BYTES // packet_bytes, window)
+        if limit < 2 or session.probe_credits:
+            return 1
+        paced = peer.pacer.packets_now(packet_bytes, rate_bps=congestion.pacing_rate_bps, limit=limit, now=now)
+        return max(1, transfer.run_length(paced))
+
+    def _run(self, peer: Peer, transfer: Transfer, count: int, *, now: float) -> Datagram:
+        """Build packets of consecutive fragments, each in a packet of its own."""
+        session, message, first = peer.session, transfer.message, transfer.peek()
+        assert first is not None
+        number = session.recovery.take_packet_number(count)
+        for k in range(count) if transfer.retransmits_next or self._state.settings.trace_fragments else ():
+            self._note_fragment(transfer, first + k, number + k, now=now)
+        transfer.advance(number, count)
+        packet_bytes = wire.HEADER_BYTES + message.fragment_bytes(first)
+        in_flight_bytes = session.recovery.in_flight_bytes + count * packet_bytes
+        data = encode_run(
+            epoch=self._state.epoch,
+            destination_tag=session.tag,
+            packet_number=number,
+            message_id=message.message_id,
+            priority=message.policy.priority,
+            flags=message.flags,
+            fragment_index=first,
+            fragment_count=message.fragment_count,
+            prefix=message.topic_prefix if first == 0 else b"",
+            payloads=message.payloads(first, count),
+            ack_now=in_flight_bytes + packet_bytes > peer.congestion.cwnd_bytes,
+        )
+        self._follow(peer, number, count, packet_bytes, ((transfer, first),), message.policy.priority, now=now)
+        return Datagram(peer.path, data, packet_bytes)
+
     def _data(self, peer: Peer, transfer: Transfer, *, now: float) -> Datagram:
         """Build one packet: the next fragment, and what else of this peer's queue fits behind it."""
         session, scheduler = peer.session, self._state.scheduler
@@ -190,7 +250,7 @@ class Transmitter:
         ack_now: bool,
         now: float,
     ) -> Datagram:
-        """Number a packet, charge the pace, and follow it if it is to be acknowledged (``parts`` is not None)."""
+        """Number a packet and follow it if it is to be acknowledged (``parts`` is not None)."""
         session = peer.session
         number = session.recovery.take_packet_number()
         header = wire.encode_header(
@@ -200,12 +260,28 @@ class Transmitter:
             flags=wire.FLAG_ACK_NOW if ack_now else 0,
         )
         data = b"".join((header, *frames))
+        self._follow(peer, number, 1, len(data), None if parts is None else tuple(parts), priority, now=now)
+        return Datagram(peer.path, data)
+
+    @staticmethod
+    def _follow(
+        peer: Peer,
+        number: int,
+        count: int,
+        size_bytes: int,
+        parts: tuple[tuple[Transfer, int], ...] | None,
+        priority: int,
+        *,
+        now: float,
+    ) -> None:
+        """Charge the pace with packets, and follow them if they are to be acknowledged (``parts`` is not None)."""
         if parts is not None:
-            session.recovery.on_sent(number, size_bytes=len(data), priority=priority, parts=tuple(parts), now=now)
+            peer.session.recovery.on_sent(
+                number, count=count, size_bytes=size_bytes, priority=priority, parts=parts, now=now
+            )
             if peer.waiting_since_s is None:
                 peer.waiting_since_s = now
-        peer.pacer.on_sent(len(data), rate_bps=peer.congestion.pacing_rate_bps, now=now)
-        return Datagram(peer.path, data)
+        peer.pacer.on_sent(size_bytes, count=count, rate_bps=peer.congestion.pacing_rate_bps, now=now)
 
     def _send_broadcast(self, transfer: Transfer, out: list[Datagram], *, now: float) -> None:
         number = self._broadcast_number

@@ -28,7 +28,7 @@ _HELLO = struct.Struct("!BHHIBB")  # type, beacon interval ms, floor (48 bits), 
 _PROBE = struct.Struct("!BB")  # type, tags
 _TAG = struct.Struct("!I")
 _MESSAGE = struct.Struct("!BHI")  # type (FLOOR or PURGED), message id (48 bits)
-_TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_PURGED = range(1, 8)
+TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_PURGED = range(1, 8)
 
 HEADER_BYTES = _HEADER.size
 DATA_BYTES = _DATA.size
@@ -65,9 +65,7 @@ def encode_data_header(
     """Return the bytes before a fragment's payload; ``topic`` (1..255 bytes of UTF-8) only for fragment 0."""
     prefix = bytes([len(topic)]) + topic if index == 0 else b""
     length = len(prefix) + payload_bytes
-    return (
-        _DATA.pack(_TYPE_DATA, flags, priority, length, message_id >> 32, message_id & _LOW_32, index, count) + prefix
-    )
+    return _DATA.pack(TYPE_DATA, flags, priority, length, message_id >> 32, message_id & _LOW_32, index, count) + prefix
 
 
 def first_fragment_overhead_bytes(topic: bytes) -> int:
@@ -187,7 +185,7 @@ class _Frames:
         at, end = HEADER_BYTES, len(view)
         while at < end:
             kind = view[at]
-            if kind == _TYPE_DATA:
+            if kind == TYPE_DATA:
                 at = self._data(view, at)
             elif kind == _TYPE_ACK:
                 at = self._ack(view, at)

@@ -94,8 +94,8 @@ class Node:
 
     def _ready(self, source: object, events: int) -> None:
         if isinstance(source, UdpCarrier):
-            for data, path, now in source.receive():
-                self._core.receive_datagram(data, path, now=now)
+            for data, segment_bytes, path, now in source.receive():
+                self._core.receive_burst(data, segment_bytes, path, now=now)
         elif isinstance(source, LocalServer):
             connection = source.accept()
             if connection is not None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import socket
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -42,8 +43,9 @@ class UdpCarrier:
         self.backlog: list[Datagram] = []  # refused by the full socket; leaves before anything else
         self._port = port
         self._counters = counters
-        self._heard_s: dict[str, float] = {}
+        self._heard_at_s: dict[str, float] = {}
         self._has_segmentation = True
+        self._buffer = memoryview(bytearray(_MAX_DATAGRAM_BYTES))
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
         try:
             self._configure()
@@ -70,11 +72,14 @@ class UdpCarrier:
         """The socket's descriptor."""
         return self.socket.fileno()
 
-    def receive(self) -> Iterator[tuple[memoryview, Path, float]]:
-        """Yield what has arrived, at most a bounded batch, each with its arrival in monotonic seconds."""
+    def receive(self) -> Iterator[tuple[memoryview, int, Path, float]]:
+        """Yield what has arrived, at most a bounded batch: datagrams, the length of each, path, monotonic seconds.
+
+        The bytes are valid only until the next one is asked for.
+        """
         for _ in range(_BATCH):
             try:
-                data, ancillary, _flags, (address, port) = self.socket.recvmsg(_MAX_DATAGRAM_BYTES, _ANCILLARY_BYTES)
+                size, ancillary, _flags, (address, port) = self.socket.recvmsg_into([self._buffer], _ANCILLARY_BYTES)
             except BlockingIOError:
                 return
             except OSError as error:
@@ -84,17 +89,13 @@ class UdpCarrier:
             if port != self._port:
                 self._counters["bad_source_port"] += 1
                 continue
-            self._note_heard(address, now)
-            path = Path(self.interface.index, address)
-            view = memoryview(data)
-            size = _segment_bytes(ancillary) or len(view)
-            for start in range(0, len(view), max(size, 1)):
-                yield view[start : start + size], path, now
+            self._heard(address, now)
+            yield self._buffer[:size], _segment_bytes(ancillary) or size, Path(self.interface.index, address), now
 
-    def _note_heard(self, address: str, now: float) -> None:
-        if len(self._heard_s) >= _MAX_HEARD:
-            self._heard_s.clear()
-        self._heard_s[address] = now
+    def _heard(self, address: str, now: float) -> None:
+        if len(self._heard_at_s) >= _MAX_HEARD:
+            self._heard_at_s.clear()
+        self._heard_at_s[address] = now
 
     def send(self, datagrams: list[Datagram]) -> None:
         """Send datagrams of this carrier in order; what the socket does not take now waits in :attr:`backlog`."""
@@ -110,34 +111,39 @@ class UdpCarrier:
                 self._counters["send_blocked"] += 1
                 return
             except OSError as error:
-                if end - at > 1 and error.errno in (errno.EIO, errno.EINVAL, errno.EMSGSIZE, errno.EOPNOTSUPP):
+                is_burst = end - at > 1 or waiting[at].segment_bytes
+                if is_burst and error.errno in (errno.EIO, errno.EINVAL, errno.EMSGSIZE, errno.EOPNOTSUPP):
                     self._has_segmentation = False
                     self._counters["without_send_offload"] += 1
+                    waiting = [single for burst in waiting[at:] for single in _singles(burst)]
+                    at = 0
                     continue
                 self._counters[f"send_{errno.errorcode.get(error.errno or 0, 'error')}"] += 1
             at = end
 
     def _burst_end(self, datagrams: list[Datagram], at: int) -> int:
-        path, data = datagrams[at]
-        end, size, total = at + 1, len(data), len(data)
-        while self._has_segmentation and path.address and end < len(datagrams) and end - at < _MAX_SEGMENTS:
+        """Return the end of what may leave in one call: segments of one length, of which only the last is shorter."""
+        path, size = datagrams[at].path, _length(datagrams[at])
+        total, end = len(datagrams[at].data), at + 1
+        while self._has_segmentation and path.address and end < len(datagrams) and not total % size:
             following = datagrams[end]
             total += len(following.data)
-            if following.path != path or len(following.data) > size or total > _MAX_BURST_BYTES:
+            fits = _length(following) == size or (not following.segment_bytes and len(following.data) < size)
+            if following.path != path or not fits or total > _MAX_BURST_BYTES or total > _MAX_SEGMENTS * size:
                 break
             end += 1
-            if len(following.data) < size:
-                break  # only the last segment may be shorter
         return end
 
     def _send_burst(self, burst: list[Datagram]) -> None:
         first = burst[0]
+        if first.segment_bytes and not self._has_segmentation:
+            raise OSError(errno.EOPNOTSUPP, "no segmentation")
         address = first.path.address or self.interface.broadcast
-        is_alive = time.monotonic() - self._heard_s.get(first.path.address, -1e9) < _CONFIRM_WITHIN_S
+        is_alive = time.monotonic() - self._heard_at_s.get(first.path.address, -1e9) < _CONFIRM_WITHIN_S
         flags = _MSG_CONFIRM if is_alive else 0  # the neighbour answers: the kernel need not ask again
         ancillary = []
-        if len(burst) > 1:
-            ancillary.append((socket.IPPROTO_UDP, _UDP_SEGMENT, len(first.data).to_bytes(2, "little")))
+        if len(burst) > 1 or first.segment_bytes:
+            ancillary.append((socket.IPPROTO_UDP, _UDP_SEGMENT, _length(first).to_bytes(2, sys.byteorder)))
         self.socket.sendmsg([datagram.data for datagram in burst], ancillary, flags, (address, self._port))
 
     def close(self) -> None:
@@ -145,8 +151,17 @@ class UdpCarrier:
         self.socket.close()
 
 
+def _length(datagram: Datagram) -> int:
+    """Return the length of the datagrams in a burst."""
+    return datagram.segment_bytes or max(1, len(datagram.data))
+
+
+def _singles(burst: Datagram) -> list[Datagram]:
+    return [Datagram(burst.path, data) for data in burst.segments()]
+
+
 def _segment_bytes(ancillary: list[tuple[int, int, bytes]]) -> int:
     for level, kind, data in ancillary:
         if level == socket.IPPROTO_UDP and kind == _UDP_GRO:
-            return int.from_bytes(data[:4], "little")
+            return int.from_bytes(data[:4], sys.byteorder)
     return 0
