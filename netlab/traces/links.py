@@ -93,6 +93,7 @@ class PacketLinks:
 
     def __init__(self, macs: dict[bytes, Interface]) -> None:
         self._macs = macs
+        self._interfaces = frozenset(macs.values())  # of the plan: a mesh interface's frames travel inside theirs
         self._sent: dict[int, _Sent] = {}  # by the frame's checksum
         self._group: dict[Interface, _Offered] = {}
         self._fates: dict[Pair, _Fate] = {}
@@ -112,6 +113,8 @@ class PacketLinks:
     def packet(self, record: PacketRecord) -> None:
         """Count one packet at one interface."""
         here, target = (record.node, record.interface), self._macs.get(record.frame[:6])
+        if here not in self._interfaces:
+            return
         if record.direction is Direction.OUTBOUND:
             if record.frame[:1] and (record.frame[0] & _GROUP or target is not None):
                 self._leaves(here, target, record)

@@ -30,14 +30,22 @@ def reroutes(trace: Trace) -> list[Reroute]:
     return [_reroute(trace, step, between) for step in trace.timeline for between in step.reroutes]
 
 
-def _reroute(trace: Trace, step: Step, between: tuple[str, str]) -> Reroute:
+def fresh_delay_s(trace: Trace, between: tuple[str, str], t_ns: int) -> float | None:
+    """From a moment until every stream between two nodes has delivered a message that was published since.
+
+    Returns:
+        Seconds; None if a stream delivered none until the end, or there is no stream.
+    """
     streams = [stream.index for stream in trace.streams if {stream.source, stream.destination} == set(between)]
-    first = [_first_fresh_ns(trace, stream, step.t_ns) for stream in streams]
-    known = [t_ns for t_ns in first if t_ns is not None]
-    delay_s = (max(known) - step.t_ns) / NS_PER_S if known and len(known) == len(first) else None
-    return Reroute(between, trace.seconds(step.t_ns), delay_s, step.t_ns)
+    first = [_first_fresh_ns(trace, stream, t_ns) for stream in streams]
+    known = [at_ns for at_ns in first if at_ns is not None]
+    return (max(known) - t_ns) / NS_PER_S if known and len(known) == len(first) else None
 
 
-def _first_fresh_ns(trace: Trace, stream: int, cut_ns: int) -> int | None:
-    times = (delivery.t_ns for delivery in first_deliveries(trace, stream) if delivery.published_ns >= cut_ns)
+def _reroute(trace: Trace, step: Step, between: tuple[str, str]) -> Reroute:
+    return Reroute(between, trace.seconds(step.t_ns), fresh_delay_s(trace, between, step.t_ns), step.t_ns)
+
+
+def _first_fresh_ns(trace: Trace, stream: int, since_ns: int) -> int | None:
+    times = (delivery.t_ns for delivery in first_deliveries(trace, stream) if delivery.published_ns >= since_ns)
     return min(times, default=None)
