@@ -143,6 +143,7 @@ class HwsimSocket:
         self._sock = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, genl.GENERIC)
         try:
             self._grow()
+            self._sock.bind((_own_port(), 0))
             self._ask(genl.message(self.family, _REGISTER, flags=NLM_F_ACK))
         except BaseException:
             self._sock.close()
@@ -224,6 +225,16 @@ class HwsimSocket:
             self._sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
         except PermissionError:
             self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+
+
+def _own_port() -> int:
+    """A netlink port that no other socket of the machine has.
+
+    When any generic netlink socket closes, the kernel removes the radios that were made from its port, whatever its
+    namespace (mac80211_hwsim_netlink_notify); the ports that it gives by itself are process ids, and every PID
+    namespace has the same ones.
+    """
+    return 1 << 31 | int.from_bytes(os.urandom(4), "big") >> 2
 
 
 def missing() -> str | None:
