@@ -7,7 +7,7 @@ opens the tap, and the members are the ports without address.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from netlab.engines.base import LabPlan
 from netlab.errors import MachineError
@@ -54,3 +54,16 @@ def bring_up(plan: LabPlan, namespace_fds: Mapping[str, int]) -> float:
         except OSError as error:
             raise MachineError(f"node {mesh.node}: {error}") from error
     return time.perf_counter() - started
+
+
+def missing_routes(
+    plan: LabPlan, namespace_fds: Mapping[str, int], wanted: Iterable[tuple[str, str]]
+) -> set[tuple[str, str]]:
+    """Return those of ``wanted``, pairs (node, other node of its mesh), for which the node has no route yet.
+
+    Only where the kernel is the mesh; a mesh that is a process makes its nodes' daemons wait by itself.
+    """
+    meshes = {mesh.node: mesh for mesh in plan.meshes if mesh.kind.made_by_kernel}
+    pairs = [(node, other) for node, other in wanted if node in meshes and other in meshes]
+    known = {node: batman.routed(namespace_fds[node]) for node in {node for node, _ in pairs}}
+    return {(node, other) for node, other in pairs if meshes[other].mac not in known[node]}

@@ -25,8 +25,8 @@ from netlab.medium.meshes import BatmanOptions
 _MESH_INDEX = 90
 
 _FAMILY = "batadv"
-_GET_MESH, _SET_MESH, _SET_HARDIF = 1, 15, 16
-_ALGO_NAME, _MESH_IFINDEX, _HARD_IFINDEX = 2, 3, 6
+_GET_MESH, _GET_TRANSTABLE_GLOBAL, _SET_MESH, _SET_HARDIF = 1, 7, 15, 16
+_ALGO_NAME, _MESH_IFINDEX, _HARD_IFINDEX, _TT_ADDRESS, _FLAG_BEST = 2, 3, 6, 16, 22
 _BRIDGE_LOOP_AVOIDANCE, _HOP_PENALTY, _ORIG_INTERVAL, _ELP_INTERVAL = 46, 53, 57, 58
 
 
@@ -70,6 +70,23 @@ def create(
         interface = ipaddress.IPv4Interface(address)
         orders = [messages.add_address(_MESH_INDEX, interface), messages.set_up(_MESH_INDEX, up=True)]
         _request(route, orders, ifname)
+
+
+def routed(namespace_fd: int) -> set[bytes]:
+    """Return the addresses of other nodes' mesh interfaces to which this node has a route now.
+
+    Broadcasts are flooded, so nodes hear each other before anything can be sent to one of them.
+
+    Raises:
+        OSError: There is no mesh interface in this namespace.
+    """
+    with _sockets(namespace_fd) as (_, generic):
+        parts = genl.number(_MESH_IFINDEX, _MESH_INDEX)
+        family = genl.family_id(generic, _FAMILY)
+        answers = generic.dump(genl.message(family, _GET_TRANSTABLE_GLOBAL, parts, flags=genl.NLM_F_DUMP))
+    entries = [attributes(answer, genl.ATTRIBUTES_AT) for answer in answers]
+    # "Best" is only who has a next hop (net/batman-adv/translation-table.c, batadv_transtable_best_orig).
+    return {entry[_TT_ADDRESS] for entry in entries if _FLAG_BEST in entry}
 
 
 def problem() -> str | None:

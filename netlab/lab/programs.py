@@ -139,6 +139,14 @@ def _over_radio_mesh(plan: LabPlan, node: str) -> set[str]:
     return found - {node}
 
 
+def stream_routes(scenario: Scenario, plan: LabPlan) -> set[tuple[str, str]]:
+    """The pairs (node, other node) between which streams of a mesh run, both ways, as far as hops lead at the start."""
+    ends = {(s.source, s.destination) for s in scenario.streams() if scenario.meshes[s.source] is not None}
+    within = {source: reach(scenario, plan, source) for source, _ in ends}
+    found = {(a, b) for a, b in ends if b in within[a]}
+    return found | {(b, a) for a, b in found}
+
+
 def neighbours(plan: LabPlan, node: str) -> set[str]:
     """Nodes that share a segment with ``node`` and are in range in both directions."""
     found = set()

@@ -1,7 +1,8 @@
 """One run of a scenario in a lab that is up: discovery, t = 0, events and traffic, drain, end.
 
-Theory. t = 0 is when every process is ready and each traffic source has discovered the destinations it can reach, at
-most ``DISCOVERY_LIMIT_S`` after it was started. Traffic is published in [0, duration); one second of drain follows.
+Theory. t = 0 is when every process is ready, each traffic source has discovered the destinations it can reach and a
+mesh has routes between them, at most ``DISCOVERY_LIMIT_S`` after it was started. Traffic is published in [0, duration);
+one second of drain follows.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import contextlib
 import json
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -37,6 +38,7 @@ from netlab.timeline import (
 DRAIN_S = 1.0
 _START_LEAD_NS = 30_000_000  # so that every source has the start command before t = 0
 READY_LIMIT_S = 20.0
+_ROUTES_POLL_S = 0.05
 
 
 class Phase(StrEnum):
@@ -64,6 +66,8 @@ class ScenarioRun:
         self.t0_ns: int | None = None
         self.problems: list[str] = []
         self.streams: dict[int, dict[str, Any]] = {}
+        #: Whether every stream of a mesh has a route yet; asked before t = 0.
+        self.has_routes: Callable[[], bool] = lambda: True
         self._phase_changed = asyncio.Event()
         self._started = asyncio.Event()
 
@@ -79,7 +83,10 @@ class ScenarioRun:
             LabError: A traffic process could not start.
         """
         self._enter(Phase.DISCOVERING)
+        discovery_ends_s = time.monotonic() + DISCOVERY_LIMIT_S
         sources, sinks = await self._start_traffic()
+        while not self.has_routes() and time.monotonic() < discovery_ends_s:
+            await asyncio.sleep(_ROUTES_POLL_S)
         self.t0_ns = time.time_ns() + _START_LEAD_NS
         self._recording.set_t0(self.t0_ns)
         self._recording.links(self._links.describe())

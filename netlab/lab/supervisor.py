@@ -34,7 +34,7 @@ from netlab.lab.isolation import keep_paths
 from netlab.lab.launch import LaunchOptions, log_tail
 from netlab.lab.links import Links
 from netlab.lab.processes import Processes
-from netlab.lab.programs import node_processes
+from netlab.lab.programs import node_processes, stream_routes
 from netlab.lab.recording import Recording
 from netlab.lab.registry import LabFolder
 from netlab.lab.requests import Requests
@@ -87,6 +87,8 @@ class Supervisor:
         self.processes.open_events = self.recording.open_events
         self.processes.on_line = self.recording.line
         self.run = ScenarioRun(self._scenario, self.plan, self.links, self.processes, self.recording)
+        routes = stream_routes(self._scenario, self.plan)
+        self.run.has_routes = lambda: not mesh_interfaces.missing_routes(self.plan, self._engine.namespace_fds, routes)
         self.processes.on_exit = self.run.process_ended
         self.processes.on_lost = lambda: self._fail("the lab's fork server ended; no process is watched any more")
         text = "127.0.0.1 localhost\n::1 localhost\n" + "".join(f"{a} {n}\n" for a, n in hosts(self.plan))

@@ -46,3 +46,15 @@ def test_the_kernel_is_asked_only_where_a_mesh_needs_it(monkeypatch: pytest.Monk
         mesh_interfaces.check_kernel(plan("batman-adv"))
     monkeypatch.setattr(mesh_interfaces, "in_child", lambda trial: None)
     mesh_interfaces.check_kernel(plan("batman-adv"))
+
+
+def test_a_route_is_missing_until_the_node_knows_the_other_s_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    meshed = plan("batman-adv")
+    macs = {mesh.node: mesh.mac for mesh in meshed.meshes}
+    known = {11: {macs["b"]}, 13: set[bytes]()}
+    monkeypatch.setattr(mesh_interfaces.batman, "routed", lambda fd: known[fd])
+    fds, wanted = {"a": 11, "r": 12, "b": 13}, [("a", "b"), ("b", "a")]
+    assert mesh_interfaces.missing_routes(meshed, fds, wanted) == {("b", "a")}
+    known[13] = {macs["a"], macs["r"]}
+    assert mesh_interfaces.missing_routes(meshed, fds, wanted) == set()
+    assert mesh_interfaces.missing_routes(plan("none"), fds, wanted) == set()

@@ -33,6 +33,12 @@ class FakeSocket:
             return head + genl.attribute(1, struct.pack("=H", FAMILY))  # the controller tells the family's number
         return head + genl.text(2, self._algorithm)
 
+    def dump(self, message: bytes) -> list[bytes]:
+        head = HEADER.pack(0, FAMILY, 0, 0, 0) + genl.GENERIC_HEADER.pack(7, 1, 0)
+        best, other = genl.attribute(22), b""  # BATADV_ATTR_FLAG_BEST: somebody is a next hop
+        rows = ((MAC, best), (MAC[:5] + b"\x02", other), (MAC[:5] + b"\x03", other), (MAC[:5] + b"\x03", best))
+        return [head + genl.attribute(16, mac) + flag for mac, flag in rows]  # BATADV_ATTR_TT_ADDRESS
+
     def close(self) -> None:
         pass
 
@@ -126,3 +132,7 @@ def test_a_refusal_names_the_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OSError, match=r"mesh interface bat0: .*Unknown device type"):
         batman.create(-1, "bat0", MAC, "10.240.0.1/16", [], BatmanOptions())
     assert "Unknown device type" in (batman.problem() or "")
+
+
+def test_a_route_is_what_has_a_next_hop(log: list[tuple[str, bytes]]) -> None:
+    assert batman.routed(-1) == {MAC, MAC[:5] + b"\x03"}

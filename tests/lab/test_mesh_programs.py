@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from netlab.engines.plan import compile_plan
-from netlab.lab.programs import daemon_config, node_processes, reach, traffic_sources
+from netlab.lab.programs import daemon_config, node_processes, reach, stream_routes, traffic_sources
 from netlab.scenario import Scenario, parse_scenario
 
 
@@ -49,3 +49,18 @@ def test_reach_ends_where_a_hop_is_out_of_range_or_no_mesh_is() -> None:
     scenario = parse_scenario({"duration": "5s", "nodes": nodes, "radio": radio})
     plan = compile_plan(scenario)
     assert {name: reach(scenario, plan, name) for name in "bcde"} == {"b": {"c"}, "c": {"b"}, "d": set(), "e": set()}
+
+
+def test_t0_waits_for_routes_of_streams_both_ways_as_far_as_hops_lead() -> None:
+    entry = {"from": "a", "to": "b", "topic": "t", "size": "1kB", "rate": "1Hz"}
+    meshed = line("batman-adv", traffic=[entry])
+    plain = parse_scenario(
+        {
+            "duration": "5s",
+            "nodes": {name: {"processes": ["udp_mesh"]} for name in "ab"},
+            "links": [{"between": ["a", "b"]}],
+            "traffic": [entry],
+        }
+    )
+    assert stream_routes(meshed, compile_plan(meshed)) == {("a", "b"), ("b", "a")}
+    assert stream_routes(plain, compile_plan(plain)) == set()
