@@ -168,8 +168,9 @@ class PacketLinks:
 def _link(fate: _Fate, frames: int, size_bytes: int) -> LinkCounts:
     corrupted = min(fate.changed, frames - fate.arrived)
     reordered = min(fate.reordered, fate.arrived)
-    missing = frames - fate.arrived - corrupted - sum(fate.cut.values())
-    missing = max(0, missing - (fate.last.waiting if fate.last else 0))
+    missing = max(0, frames - fate.arrived - corrupted - sum(fate.cut.values()))
+    waiting = min(missing, fate.last.waiting) if fate.last else 0  # their fate is open, so they do not count at all
+    frames, missing = frames - waiting, missing - waiting
     queue_full = fate.queue_full
     told = {
         Verdict.DELIVERED: fate.arrived - reordered,
