@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import select
 import time
+from collections.abc import Sequence
 
 from netlab.engines.air_messages import (
     AirStats,
     Answer,
     AskStats,
-    Close,
-    Failed,
     RecordVerdicts,
     Request,
     SetOutage,
@@ -20,12 +16,10 @@ from netlab.engines.air_messages import (
     Setup,
 )
 from netlab.engines.base import LabPlan, Pair, PairCounters
+from netlab.engines.helper import HelperProcess
 from netlab.errors import LabError, MachineError
-from netlab.ipc import Channel, start_module
 from netlab.kernel.wiring import VethSpec, Wiring, build
 from netlab.medium.impairments import Impairment
-
-_ANSWER_LIMIT_S = 30.0
 
 
 class AirEngine:
@@ -36,8 +30,7 @@ class AirEngine:
     def __init__(self, plan: LabPlan) -> None:
         self._plan = plan
         self._wiring: Wiring | None = None
-        self._channel: Channel | None = None
-        self._pid = 0
+        self._process: HelperProcess | None = None
 
     @property
     def namespace_fds(self) -> dict[str, int]:
@@ -54,7 +47,8 @@ class AirEngine:
             MachineError: The kernel refuses namespaces, veths or packet sockets; after that nothing is left.
         """
         try:
-            self._start_process()  # it loads while the interfaces are made
+            # It loads while the interfaces are made.
+            self._process = HelperProcess("netlab.engines.air_process", "air")
             started = time.perf_counter()
             self._wiring = build(self._plan.nodes, _veths(self._plan))
             took_s = time.perf_counter() - started
@@ -111,22 +105,15 @@ class AirEngine:
 
     def problem(self) -> str | None:
         """What has gone wrong since the start, for a person; None if nothing."""
-        # It only speaks when asked: something to read is the end.
-        if self._channel is not None and select.select([self._channel], [], [], 0)[0]:
+        if self._process is not None and self._process.ended:
             return "the air process ended; no frame is carried any more; its last words are in the supervisor's log"
         return None
 
     def close(self) -> None:
         """Stop the process and close this process's descriptors; idempotent."""
-        if self._channel is not None:
-            with contextlib.suppress(LabError):
-                self._ask(Close())
-            self._channel.close()
-            self._channel = None
-        if self._pid:
-            with contextlib.suppress(ChildProcessError):  # somebody who collects every child was faster
-                os.waitpid(self._pid, 0)
-            self._pid = 0
+        if self._process is not None:
+            self._process.close()
+            self._process = None
         if self._wiring is not None:
             self._wiring.close()
             self._wiring = None
@@ -136,22 +123,11 @@ class AirEngine:
             raise RuntimeError("the engine is not up")
         return self._wiring
 
-    def _start_process(self) -> None:
-        self._channel, self._pid = start_module("netlab.engines.air_process")
-
-    def _ask(self, request: Request, fds: list[int] | None = None) -> Answer:
+    def _ask(self, request: Request, fds: Sequence[int] = ()) -> Answer:
         """Send one request and wait until it is in force."""
-        if self._channel is None:
+        if self._process is None:
             raise RuntimeError("the engine is not up")
-        try:
-            self._channel.send(request, fds or [])
-            if not select.select([self._channel], [], [], _ANSWER_LIMIT_S)[0]:
-                raise LabError(f"the air process has not answered for {_ANSWER_LIMIT_S:g} s")
-            answer: Answer = self._channel.recv()[0]
-        except (EOFError, OSError) as error:
-            raise LabError(f"the air process is gone ({error}); its last words are in the supervisor's log") from error
-        if isinstance(answer, Failed):
-            raise LabError(answer.problem)
+        answer: Answer = self._process.ask(request, fds)
         return answer
 
 

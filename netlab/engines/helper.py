@@ -25,7 +25,7 @@ class HelperProcess:
             OSError: It cannot be started.
         """
         self._what = what
-        self._channel, self._pid = start_module(module)
+        self._channel, self.pid = start_module(module)
 
     def ask(self, request: object, fds: Sequence[int] = ()) -> Any:
         """Send one request and wait until it is in force; returns the answer.
@@ -57,4 +57,4 @@ class HelperProcess:
             self.ask(Close())
         self._channel.close()
         with contextlib.suppress(ChildProcessError):  # somebody who collects every child was faster
-            os.waitpid(self._pid, 0)
+            os.waitpid(self.pid, 0)

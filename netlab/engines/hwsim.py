@@ -95,7 +95,7 @@ class HwsimEngine:
             return took_s + time.perf_counter() - started
         except (OSError, LabError) as error:
             self.close()
-            raise MachineError(f"the 802.11 radios cannot start: {error}; {_WAY_OUT}") from error
+            raise MachineError(f"the 802.11 radios cannot start: {error}") from error
         except BaseException:
             self.close()
             raise

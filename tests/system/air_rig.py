@@ -41,6 +41,8 @@ class Rig:
         self.plan = lab
         self.engine = AirEngine(lab)
         self.engine.bring_up()
+        assert self.engine._process is not None
+        self.process_id = self.engine._process.pid
         self.socks = [self._open(port) for port in lab.ports]
 
     def _open(self, port: Port, protocol: int = ETHERTYPE) -> socket.socket:
@@ -220,7 +222,7 @@ def vlan_tag() -> None:
 def ends_with_channel() -> None:
     """No orphan: the process ends when the engine closes, and when the engine's process is just gone."""
     rig = Rig(plan(SegmentKind.WIRE, 2))
-    pid = rig.engine._pid
+    pid = rig.process_id
     rig.engine.close()
     rig.engine.close()
     try:
@@ -234,8 +236,8 @@ def reports_a_dead_process() -> None:
     """A crash is no silence."""
     rig = Rig(plan(SegmentKind.WIRE, 2))
     assert rig.engine.problem() is None
-    os.kill(rig.engine._pid, signal.SIGKILL)
-    os.waitpid(rig.engine._pid, 0)
+    os.kill(rig.process_id, signal.SIGKILL)
+    os.waitpid(rig.process_id, 0)
     assert rig.engine.problem() is not None
     try:
         rig.engine.set_pairs({(0, 1): None})

@@ -8,6 +8,8 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
+import signal
 import sys
 from collections import Counter
 from pathlib import Path
@@ -249,6 +251,18 @@ def test_radios_go_with_their_lab(make_lab: MakeLab) -> None:
         lab = make_lab(wifi(CHAIN))
         lab.close()
         assert here.wiphys() == before
+
+
+@radios
+def test_a_process_of_the_radios_that_is_killed_ends_the_run(netlab: Any) -> None:
+    run = netlab.start("run", TOPOLOGIES / "wifi_two_hops.yaml", "--set", "duration=60s")
+    while "running" not in (line := run.stderr.readline()):
+        assert line
+    os.kill(netlab.process("netlab.engines.hwsim_process"), signal.SIGKILL)
+    out, err = run.communicate(timeout=30)
+    assert run.returncode == 2
+    assert "the hwsim process ended; the radios are gone" in out.partition("THE LAB BROKE: ")[2]
+    assert "Traceback" not in out + err
 
 
 @pytest.mark.skipif(MISSING is None, reason="this kernel has mac80211_hwsim")
