@@ -232,7 +232,7 @@ class AsyncClient:
             writer.write(self._state.connected())
             try:
                 while data := await reader.read(_READ_BYTES):
-                    self._state.feed(data)
+                    self._feed(data)
                     self._notify()
             except (OSError, LocalProtocolError):
                 pass
@@ -240,6 +240,15 @@ class AsyncClient:
             writer.close()
             self._state.disconnected()
             self._notify()
+
+    def _feed(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            buffer = self._state.buffer()
+            size = min(len(rest), len(buffer))
+            buffer[:size] = rest[:size]
+            self._state.filled(size)
+            rest = rest[size:]
 
     def _notify(self) -> None:
         if self._changed is not None:

@@ -13,7 +13,6 @@ from udp_mesh.local_wire import LocalProtocolError
 
 FINISH_WITHIN_S = 0.05
 _RECONNECT_INTERVAL_S = 0.05
-_READ_BYTES = 256 * 1024
 
 
 class Link:
@@ -24,7 +23,7 @@ class Link:
         self.connections = 0  # made so far
         self._state = state
         self._socket: socket.socket | None = None
-        self._rest = b""  # of a frame of which the daemon has taken a part
+        self._rest = memoryview(b"")  # of a frame of which the daemon has taken a part
         self._retry_at_s = 0.0
         self._is_closed = False
 
@@ -78,7 +77,7 @@ class Link:
         except OSError:
             self._disconnect()
             raise Refused("daemon_unreachable") from None
-        self._rest = frame[sent:]
+        self._rest = memoryview(frame)[sent:]
         if self._rest:
             self.finish(FINISH_WITHIN_S)  # larger than the socket's buffer: the daemon is reading it now
 
@@ -128,10 +127,12 @@ class Link:
 
     def _read(self, sock: socket.socket) -> None:
         try:
-            while data := sock.recv(_READ_BYTES):
-                self._state.feed(data)
-                if len(data) < _READ_BYTES:
+            buffer = self._state.buffer()
+            while size := sock.recv_into(buffer):
+                self._state.filled(size)
+                if size < len(buffer):
                     return
+                buffer = self._state.buffer()
         except BlockingIOError:
             return
         except (OSError, LocalProtocolError):
@@ -155,7 +156,7 @@ class Link:
         sock.setblocking(False)
         self._socket = sock
         self.connections += 1
-        self._rest = b""
+        self._rest = memoryview(b"")
         greeting = self._state.connected()
         if greeting:
             self.send(greeting)
@@ -165,4 +166,4 @@ class Link:
             self._socket.close()
             self._state.disconnected()
         self._socket = None
-        self._rest = b""
+        self._rest = memoryview(b"")

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from udp_mesh import local_wire
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability
-from udp_mesh.local_wire import FrameReader, FrameType, Message, Overrides, Publish, Verdict
+from udp_mesh.frame_reader import FrameReader
+from udp_mesh.local_wire import FrameType, Message, Overrides, Publish, Verdict
 
 MAX_INBOX_MESSAGES = 65_536
 
@@ -79,9 +80,13 @@ class ClientState:
         self._peers.clear()
         self.is_greeted = False
 
-    def feed(self, data: bytes) -> None:
-        """Take bytes from the daemon."""
-        for kind, body in self._reader.feed(data):
+    def buffer(self) -> memoryview:
+        """Return where the daemon's next bytes belong."""
+        return self._reader.buffer()
+
+    def filled(self, size_bytes: int) -> None:
+        """Take so many bytes of what :meth:`buffer` returned."""
+        for kind, body in self._reader.filled(size_bytes):
             self._frame(kind, body)
 
     def _frame(self, kind: int, body: memoryview) -> None:

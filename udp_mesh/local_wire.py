@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TypeVar
@@ -17,6 +16,7 @@ from udp_mesh.core.settings import MAX_MESSAGE_BYTES, Keep, Offline, Reliability
 
 MAX_FRAME_BYTES = MAX_MESSAGE_BYTES + 4096
 _LENGTH = struct.Struct("!I")
+LENGTH_BYTES = _LENGTH.size
 _PUBLISH = struct.Struct("!IBhBBBdBB")
 _MESSAGE = struct.Struct("!BQBB")
 _VERDICT = struct.Struct("!IQ")
@@ -74,7 +74,7 @@ class Publish:
 
     request: int
     topic: str
-    payload: bytes
+    payload: bytes | memoryview
     to: str
     overrides: Overrides
     wants_verdict: bool
@@ -166,7 +166,7 @@ def decode_publish(body: memoryview) -> Publish:
             request=request,
             topic=str(body[at : at + topic_bytes], "utf-8"),
             to=str(body[at + topic_bytes : at + topic_bytes + to_bytes], "utf-8"),
-            payload=bytes(body[at + topic_bytes + to_bytes :]),
+            payload=body[at + topic_bytes + to_bytes :],
             overrides=Overrides(
                 priority=None if priority < 0 else priority,
                 reliability=_choice(Reliability, reliability),
@@ -183,9 +183,15 @@ def decode_publish(body: memoryview) -> Publish:
 
 def encode_message(message: Message) -> bytes:
     """Return the frame of a received message."""
+    return encode_message_head(message) + message.payload
+
+
+def encode_message_head(message: Message) -> bytes:
+    """Return what precedes the payload in the frame of a received message."""
     source, topic = message.source.encode(), message.topic.encode()
     head = _MESSAGE.pack(message.priority, message.received_ns, len(source), len(topic))
-    return frame(FrameType.MESSAGE, b"".join((head, source, topic, message.payload)))
+    length = 1 + len(head) + len(source) + len(topic) + len(message.payload)
+    return b"".join((_LENGTH.pack(length), bytes((FrameType.MESSAGE,)), head, source, topic))
 
 
 def decode_message(body: memoryview) -> Message:
@@ -221,29 +227,3 @@ def decode_lost(body: memoryview) -> int:
     """Decode the body of a lost frame."""
     (count,) = _LOST.unpack_from(body)
     return int(count)
-
-
-class FrameReader:
-    """Cuts a byte stream into frames."""
-
-    def __init__(self) -> None:
-        self._buffer = bytearray()
-
-    def feed(self, data: bytes) -> Iterator[tuple[int, memoryview]]:
-        """Add bytes; yield each complete frame's type and body.
-
-        Raises:
-            LocalProtocolError: A frame is impossible.
-        """
-        self._buffer += data
-        at = 0
-        while len(self._buffer) - at >= _LENGTH.size + 1:
-            (length,) = _LENGTH.unpack_from(self._buffer, at)
-            if not 0 < length <= MAX_FRAME_BYTES:
-                raise LocalProtocolError(f"a frame of {length} bytes; at most {MAX_FRAME_BYTES}")
-            end = at + _LENGTH.size + length
-            if end > len(self._buffer):
-                break
-            yield self._buffer[at + _LENGTH.size], memoryview(bytes(self._buffer[at + _LENGTH.size + 1 : end]))
-            at = end
-        del self._buffer[:at]

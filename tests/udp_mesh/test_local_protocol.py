@@ -12,8 +12,22 @@ from hypothesis import strategies as st
 
 from udp_mesh import local_wire
 from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
+from udp_mesh.frame_reader import FrameReader
 from udp_mesh.io.server import MAX_WAITING_BYTES, Connection, LocalServer, SocketInUse
-from udp_mesh.local_wire import FrameReader, FrameType, LocalProtocolError, Message, Overrides, Publish, Verdict
+from udp_mesh.local_wire import FrameType, LocalProtocolError, Message, Overrides, Publish, Verdict
+
+
+def feed(reader: FrameReader, data: bytes) -> list[tuple[int, memoryview]]:
+    """Let a reader receive these bytes; at once, as far as it has room."""
+    frames, rest = [], memoryview(data)
+    while rest:
+        buffer = reader.buffer()
+        size = min(len(rest), len(buffer))
+        buffer[:size] = rest[:size]
+        frames += reader.filled(size)
+        rest = rest[size:]
+    return frames
+
 
 overrides = st.builds(
     Overrides,
@@ -42,29 +56,44 @@ names = st.text(min_size=1, max_size=60)
 def test_a_publish_survives_being_cut_into_pieces(publish: Publish, piece: int) -> None:
     data = local_wire.encode_publish(publish) * 2
     reader = FrameReader()
-    frames = [frame for at in range(0, len(data), piece) for frame in reader.feed(data[at : at + piece])]
+    frames = [frame for at in range(0, len(data), piece) for frame in feed(reader, data[at : at + piece])]
     assert [kind for kind, _body in frames] == [FrameType.PUBLISH] * 2
     assert [local_wire.decode_publish(body) for _kind, body in frames] == [publish] * 2
 
 
+@given(
+    st.lists(st.sampled_from([0, 1, 100, 32_763, 32_768, 65_530, 65_536, 70_000, 200_000]), min_size=1, max_size=6),
+    st.lists(st.integers(1, 150_000), min_size=1, max_size=6),
+)
+def test_large_and_small_frames_come_in_pieces_of_any_size(sizes: list[int], pieces: list[int]) -> None:
+    bodies = [bytes([number]) * size for number, size in enumerate(sizes)]
+    data = b"".join(local_wire.frame(FrameType.RESPONSE, body) for body in bodies)
+    reader, received, at, turn = FrameReader(), [], 0, 0
+    while at < len(data):
+        piece = data[at : at + pieces[turn % len(pieces)]]
+        received += feed(reader, piece)
+        at, turn = at + len(piece), turn + 1
+    assert [bytes(body) for _kind, body in received] == bodies
+
+
 @given(st.builds(Message, names, st.binary(max_size=300), names, st.integers(0, 255), st.integers(0, 1 << 63)))
 def test_a_message_comes_back(message: Message) -> None:
-    ((kind, body),) = FrameReader().feed(local_wire.encode_message(message))
+    ((kind, body),) = feed(FrameReader(), local_wire.encode_message(message))
     assert kind == FrameType.MESSAGE
     assert local_wire.decode_message(body) == message
 
 
 def test_a_verdict_and_a_loss_come_back() -> None:
-    ((_, body),) = FrameReader().feed(local_wire.encode_verdict(Verdict(7, 1 << 40, "queue_full")))
+    ((_, body),) = feed(FrameReader(), local_wire.encode_verdict(Verdict(7, 1 << 40, "queue_full")))
     assert local_wire.decode_verdict(body) == Verdict(7, 1 << 40, "queue_full")
-    ((_, body),) = FrameReader().feed(local_wire.encode_lost(12))
+    ((_, body),) = feed(FrameReader(), local_wire.encode_lost(12))
     assert local_wire.decode_lost(body) == 12
 
 
 @given(st.binary(max_size=120))
 def test_garbage_is_a_protocol_error_and_nothing_else(data: bytes) -> None:
     try:
-        for kind, body in FrameReader().feed(data):
+        for kind, body in feed(FrameReader(), data):
             if kind == FrameType.PUBLISH:
                 local_wire.decode_publish(body)
         local_wire.decode_publish(memoryview(data))
@@ -94,7 +123,7 @@ def read_all(connection: Connection, sock: socket.socket) -> list[tuple[int, mem
     while True:
         connection.flush()
         try:
-            frames.extend(reader.feed(sock.recv(1 << 20)))
+            frames.extend(feed(reader, sock.recv(1 << 20)))
         except BlockingIOError:
             return frames
 

@@ -110,7 +110,7 @@ class MeshCore:
     def publish(
         self,
         topic: str,
-        payload: bytes,
+        payload: bytes | memoryview,
         *,
         to: str,
         policy: TopicPolicy | None = None,

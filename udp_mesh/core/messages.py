@@ -36,7 +36,7 @@ class Message:
         self,
         message_id: int,
         topic: str,
-        payload: bytes,
+        payload: bytes | memoryview,
         policy: TopicPolicy,
         *,
         datagram_bytes: int,

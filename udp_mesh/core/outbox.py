@@ -48,7 +48,7 @@ class Outbox:
     def publish(
         self,
         topic: str,
-        payload: bytes,
+        payload: bytes | memoryview,
         *,
         to: str,
         policy: TopicPolicy,
@@ -242,7 +242,7 @@ class Outbox:
         fresh = Message(
             self._state.take_message_id(),
             message.topic,
-            bytes(message.payload),
+            message.payload,
             policy,
             datagram_bytes=self._state.settings.payload_bytes,
             flags=message.flags,

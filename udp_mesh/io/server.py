@@ -9,18 +9,38 @@ from collections import deque
 from pathlib import Path
 
 from udp_mesh import local_wire
-from udp_mesh.local_wire import FrameReader, FrameType, LocalProtocolError, Publish
+from udp_mesh.frame_reader import FrameReader
+from udp_mesh.local_wire import FrameType, LocalProtocolError, Publish
 
 MAX_CONNECTIONS = 256
 MAX_WAITING_BYTES = 8 * 1024 * 1024
 ALL_TOPICS = "*"
-_READ_BYTES = 256 * 1024
 _BATCH = 16
 _SOCKET_MODE = 0o600
 
 
 class SocketInUse(Exception):
     """Another daemon serves this path, or it cannot be created."""
+
+
+class _Output:
+    """A frame on its way to an application, in pieces that follow each other. ``may_lose``: if it reads too slowly."""
+
+    __slots__ = ("_pieces", "may_lose", "size_bytes")
+
+    def __init__(self, pieces: tuple[bytes | memoryview, ...], *, may_lose: bool) -> None:
+        self._pieces = pieces
+        self.may_lose = may_lose
+        self.size_bytes = sum(map(len, pieces))
+
+    def rest(self, sent_bytes: int) -> list[bytes | memoryview]:
+        """Return what follows the bytes that were sent."""
+        rest: list[bytes | memoryview] = []
+        for piece in self._pieces:
+            if sent_bytes < len(piece):
+                rest.append(memoryview(piece)[sent_bytes:] if sent_bytes else piece)
+            sent_bytes = max(0, sent_bytes - len(piece))
+        return rest
 
 
 class Connection:
@@ -32,7 +52,7 @@ class Connection:
         self.parked: Publish | None = None  # waits for room in the queue; nothing is read meanwhile
         self.is_closed = False
         self._reader = FrameReader()
-        self._frames: deque[tuple[bytes, bool]] = deque()  # bytes, whether a slow reader may lose them
+        self._frames: deque[_Output] = deque()
         self._waiting_bytes = 0
         self._first_sent = 0
         self._lost = 0
@@ -50,21 +70,19 @@ class Connection:
         """Take what the application wrote; it waits for :meth:`next_frame`."""
         for _ in range(_BATCH):
             try:
-                data = self.socket.recv(_READ_BYTES)
+                buffer = self._reader.buffer()
+                size = self.socket.recv_into(buffer)
+                if size:
+                    self._pending.extend(self._reader.filled(size))
+                    if size < len(buffer):
+                        return
+                    continue
             except BlockingIOError:
                 return
-            except OSError:
-                data = b""
-            if not data:
-                self.is_closed = True
-                return
-            try:
-                self._pending.extend(self._reader.feed(data))
-            except LocalProtocolError:
-                self.is_closed = True
-                return
-            if len(data) < _READ_BYTES:
-                return
+            except (OSError, LocalProtocolError):
+                pass
+            self.is_closed = True
+            return
 
     def next_frame(self) -> tuple[int, memoryview] | None:
         """Return the next frame, None while there is none or a publish waits for room."""
@@ -75,28 +93,28 @@ class Connection:
         """Whether more should be read: an application that waits for room is not read, and so held back."""
         return self.parked is None and not self._pending
 
-    def send(self, frame: bytes, *, may_lose: bool = False) -> None:
-        """Queue a frame. Too slow a reader loses the oldest messages, and is told how many."""
+    def send(self, frame: bytes, payload: bytes | memoryview = b"", *, may_lose: bool = False) -> None:
+        """Queue a frame, of which ``payload`` is the end. Too slow a reader loses the oldest messages, and is told."""
         if self._lost and may_lose:
-            self._append(local_wire.encode_lost(self._lost), may_lose=False)
+            self._append(_Output((local_wire.encode_lost(self._lost),), may_lose=False))
             self._lost = 0
-        self._append(frame, may_lose=may_lose)
+        self._append(_Output((frame, payload) if payload else (frame,), may_lose=may_lose))
         while self._waiting_bytes > MAX_WAITING_BYTES and len(self._frames) > 1 and self._lose_oldest():
             pass
         if self._waiting_bytes > 2 * MAX_WAITING_BYTES + local_wire.MAX_FRAME_BYTES:
             self.is_closed = True  # it asks and never reads
 
-    def _append(self, frame: bytes, *, may_lose: bool) -> None:
-        self._frames.append((frame, may_lose))
-        self._waiting_bytes += len(frame)
+    def _append(self, output: _Output) -> None:
+        self._frames.append(output)
+        self._waiting_bytes += output.size_bytes
 
     def _lose_oldest(self) -> bool:
         start = 1 if self._first_sent else 0  # a frame of which a part was read cannot be taken back
         for index in range(start, len(self._frames) - 1):
-            frame, may_lose = self._frames[index]
-            if may_lose:
+            output = self._frames[index]
+            if output.may_lose:
                 del self._frames[index]
-                self._waiting_bytes -= len(frame)
+                self._waiting_bytes -= output.size_bytes
                 self._lost += 1
                 return True
         return False
@@ -109,18 +127,17 @@ class Connection:
     def flush(self) -> None:
         """Write what the application takes now."""
         while self._frames and not self.is_closed:
-            frame, _may_lose = self._frames[0]
+            output = self._frames[0]
             try:
-                sent = self.socket.send(memoryview(frame)[self._first_sent :])
+                self._first_sent += self.socket.sendmsg(output.rest(self._first_sent))
             except BlockingIOError:
                 return
             except OSError:
                 self.is_closed = True
                 return
-            self._first_sent += sent
-            if self._first_sent == len(frame):
+            if self._first_sent == output.size_bytes:
                 self._frames.popleft()
-                self._waiting_bytes -= len(frame)
+                self._waiting_bytes -= output.size_bytes
                 self._first_sent = 0
 
 
@@ -188,11 +205,11 @@ class LocalServer:
 
     def deliver(self, message: local_wire.Message) -> None:
         """Give a message to every subscriber of its topic."""
-        frame: bytes | None = None
+        head = b""
         for connection in self.connections:
             if connection.wants(message.topic):
-                frame = frame or local_wire.encode_message(message)
-                connection.send(frame, may_lose=True)
+                head = head or local_wire.encode_message_head(message)
+                connection.send(head, message.payload, may_lose=True)
 
     def tell_all(self, kind: FrameType, value: object) -> None:
         """Send a JSON frame to every application."""
