@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from netlab.engines.base import LabPlan, Pair, PairCounters
-from netlab.errors import LabError
+from netlab.errors import LabError, MachineError
 from netlab.lab.links import Links
 from netlab.medium.impairments import PERFECT, Impairment
 from netlab.medium.segments import Port, Segment, SegmentKind
@@ -117,3 +117,35 @@ def test_the_description_follows_every_change(links: Links) -> None:
 
 def test_pairs_that_were_never_in_range_are_not_listed(links: Links) -> None:
     assert ("b", "c") not in {(row["from"], row["to"]) for row in links.describe()}
+
+
+def test_what_the_engine_refuses_has_not_happened(
+    links: Links, engine: RecordingEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_arguments: object, **_named: object) -> None:
+        raise MachineError("the kernel refuses")
+
+    pairs, _ = links.between("a", "b")
+    links.set_outage("person", pairs, active=True)
+    before = links.describe()
+    with monkeypatch.context() as patched:
+        for name in ("set_pairs", "set_outage", "set_carrier"):
+            patched.setattr(engine, name, refuse)
+        with pytest.raises(MachineError):
+            links.set_pairs(dict.fromkeys(pairs, Impairment(delay_s=9.0)))
+        with pytest.raises(MachineError):
+            links.set_outage("person", pairs, active=False)
+        with pytest.raises(MachineError):
+            links.set_carrier("timeline", {0, 1}, up=False)
+    assert links.describe() == before
+    engine.calls.clear()
+    links.set_outage("person", pairs, active=False)
+    assert engine.calls == [("outage", pairs, False)]
+
+
+def test_counters_stand_beside_the_state_where_the_engine_has_any(links: Links, engine: RecordingEngine) -> None:
+    pair = next(iter(links.between("a", "b")[0]))
+    engine.counters = {pair: PairCounters(queue_full=None, waiting=2, reordered=0)}
+    assert not any("counters" in row for row in links.describe())
+    rows = [row for row in links.describe(counters=True) if "counters" in row]
+    assert [row["counters"] for row in rows] == [{"queue_full": None, "waiting": 2, "reordered": 0}]

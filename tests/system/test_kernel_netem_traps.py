@@ -6,10 +6,10 @@ import contextlib
 import socket
 import statistics
 import threading
+from pathlib import Path
 
 import pytest
 
-from netlab.kernel import probe
 from netlab.kernel.netlink import NetlinkSocket
 from netlab.medium.impairments import PERFECT, Distribution, Impairment, RandomLoss
 from netlab.medium.segments import SegmentKind
@@ -32,7 +32,7 @@ def test_the_probe_tells_what_this_kernel_refuses() -> None:
     """In the box: no seed (Linux 6.1), no duplication beside another netem (refused since 2025, also in old series)."""
     found = tc_features()
     assert found.netem_duplicates
-    if probe.Path("/proc/sys/kernel/osrelease").read_text().startswith("6.1."):
+    if Path("/proc/sys/kernel/osrelease").read_text().startswith("6.1."):
         assert not found.netem_seed
 
 
@@ -114,16 +114,18 @@ def test_tcp_crosses_in_frames_of_the_interface_not_in_segments_of_64_kb() -> No
         with visiting(engine.namespace_fds["n0"]):
             client = socket.create_connection(("10.0.0.2", 5000))
         connection = server.accept()[0]
-        sending = threading.Thread(target=lambda: (client.sendall(payload), client.close()))
+        sending = threading.Thread(target=client.sendall, args=(payload,))
         sending.start()
-        received = b"".join(iter(lambda: connection.recv(1 << 16), b""))
+        received = bytearray()
+        while len(received) < len(payload):
+            received += connection.recv(1 << 16)
         sending.join()
         sniffer.setblocking(False)
         sizes = []
         with contextlib.suppress(BlockingIOError):
             while True:
                 sizes.append(len(sniffer.recv(1 << 17)))
-        for sock in (server, connection, sniffer):
+        for sock in (server, client, connection, sniffer):
             sock.close()
     assert received == payload  # and so every checksum was right
     assert max(sizes) == 1514
