@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import os
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 
 from pyroute2.netlink import nla
 from pyroute2.netlink.rtnl.ifinfmsg import ifinfmsg
@@ -26,7 +27,8 @@ _MESH_INDEX = 90
 
 _FAMILY = "batadv"
 _GET_MESH, _GET_TRANSTABLE_GLOBAL, _SET_MESH, _SET_HARDIF = 1, 7, 15, 16
-_ALGO_NAME, _MESH_IFINDEX, _HARD_IFINDEX, _TT_ADDRESS, _FLAG_BEST = 2, 3, 6, 16, 22
+_ALGO_NAME, _MESH_IFINDEX, _HARD_IFINDEX, _TT_ADDRESS, _TT_FLAGS, _FLAG_BEST = 2, 3, 6, 16, 21, 22
+_TEMPORARY = 1 << 11  # BATADV_TT_CLIENT_TEMP
 _BRIDGE_LOOP_AVOIDANCE, _HOP_PENALTY, _ORIG_INTERVAL, _ELP_INTERVAL = 46, 53, 57, 58
 
 
@@ -85,8 +87,16 @@ def routed(namespace_fd: int) -> set[bytes]:
         family = genl.family_id(generic, _FAMILY)
         answers = generic.dump(genl.message(family, _GET_TRANSTABLE_GLOBAL, parts, flags=genl.NLM_F_DUMP))
     entries = [attributes(answer, genl.ATTRIBUTES_AT) for answer in answers]
-    # "Best" is only who has a next hop (net/batman-adv/translation-table.c, batadv_transtable_best_orig).
-    return {entry[_TT_ADDRESS] for entry in entries if _FLAG_BEST in entry}
+    return {entry[_TT_ADDRESS] for entry in entries if _is_route(entry)}
+
+
+def _is_route(entry: Mapping[int, bytes]) -> bool:
+    """Whether unicast frames arrive by an entry of the translation table (net/batman-adv/translation-table.c).
+
+    "Best" is only who has a next hop (batadv_transtable_best_orig). An entry that was guessed from a broadcast is
+    temporary: frames then carry no valid version of the table, and relays throw them away (batadv_check_unicast_ttvn).
+    """
+    return _FLAG_BEST in entry and not int.from_bytes(entry[_TT_FLAGS], sys.byteorder) & _TEMPORARY
 
 
 def problem() -> str | None:

@@ -140,11 +140,14 @@ def _over_radio_mesh(plan: LabPlan, node: str) -> set[str]:
 
 
 def stream_routes(scenario: Scenario, plan: LabPlan) -> set[tuple[str, str]]:
-    """The pairs (node, other node) between which streams of a mesh run, both ways, as far as hops lead at the start."""
+    """The pairs (node, end of a stream) for which a mesh needs a route, as far as hops lead at the start.
+
+    Each end is wanted by every node in its reach: a relay that does not know it throws away what it should pass on.
+    """
     ends = {(s.source, s.destination) for s in scenario.streams() if scenario.meshes[s.source] is not None}
     within = {source: reach(scenario, plan, source) for source, _ in ends}
-    found = {(a, b) for a, b in ends if b in within[a]}
-    return found | {(b, a) for a, b in found}
+    met = {end for a, b in ends if b in within[a] for end in (a, b)}
+    return {(node, end) for end in met for node in reach(scenario, plan, end)}
 
 
 def neighbours(plan: LabPlan, node: str) -> set[str]:

@@ -35,9 +35,12 @@ class FakeSocket:
 
     def dump(self, message: bytes) -> list[bytes]:
         head = HEADER.pack(0, FAMILY, 0, 0, 0) + genl.GENERIC_HEADER.pack(7, 1, 0)
-        best, other = genl.attribute(22), b""  # BATADV_ATTR_FLAG_BEST: somebody is a next hop
-        rows = ((MAC, best), (MAC[:5] + b"\x02", other), (MAC[:5] + b"\x03", other), (MAC[:5] + b"\x03", best))
-        return [head + genl.attribute(16, mac) + flag for mac, flag in rows]  # BATADV_ATTR_TT_ADDRESS
+        best = genl.attribute(22)  # BATADV_ATTR_FLAG_BEST: somebody is a next hop
+        rows = ((1, 0, best), (2, 0, b""), (3, 0, b""), (3, 0x10, best), (4, 0x800, best))  # BATADV_TT_CLIENT_TEMP
+        return [
+            head + genl.attribute(16, MAC[:5] + bytes([node])) + genl.number(21, flags) + flag
+            for node, flags, flag in rows
+        ]
 
     def close(self) -> None:
         pass
@@ -134,5 +137,5 @@ def test_a_refusal_names_the_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "Unknown device type" in (batman.problem() or "")
 
 
-def test_a_route_is_what_has_a_next_hop(log: list[tuple[str, bytes]]) -> None:
+def test_a_route_is_what_has_a_next_hop_and_was_not_guessed_from_a_broadcast(log: list[tuple[str, bytes]]) -> None:
     assert batman.routed(-1) == {MAC, MAC[:5] + b"\x03"}

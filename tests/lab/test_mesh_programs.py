@@ -51,7 +51,7 @@ def test_reach_ends_where_a_hop_is_out_of_range_or_no_mesh_is() -> None:
     assert {name: reach(scenario, plan, name) for name in "bcde"} == {"b": {"c"}, "c": {"b"}, "d": set(), "e": set()}
 
 
-def test_t0_waits_for_routes_of_streams_both_ways_as_far_as_hops_lead() -> None:
+def test_t0_waits_until_relays_too_have_routes_to_both_ends_of_a_stream() -> None:
     entry = {"from": "a", "to": "b", "topic": "t", "size": "1kB", "rate": "1Hz"}
     meshed = line("batman-adv", traffic=[entry])
     plain = parse_scenario(
@@ -62,5 +62,5 @@ def test_t0_waits_for_routes_of_streams_both_ways_as_far_as_hops_lead() -> None:
             "traffic": [entry],
         }
     )
-    assert stream_routes(meshed, compile_plan(meshed)) == {("a", "b"), ("b", "a")}
+    assert stream_routes(meshed, compile_plan(meshed)) == {("a", "b"), ("b", "a"), ("r", "a"), ("r", "b")}
     assert stream_routes(plain, compile_plan(plain)) == set()
