@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from types import TracebackType
+from typing import Unpack
 
 from udp_mesh import local_wire
 from udp_mesh.client_async import AsyncClient
@@ -23,6 +24,7 @@ from udp_mesh.client_state import (
     ClientError,
     ClientState,
     PeerInfo,
+    PublishOptions,
     Refused,
     RequestFailed,
     WouldBlock,
@@ -37,6 +39,7 @@ from udp_mesh.local_wire import FrameType, Message
 __all__ = ["AsyncClient", "Client", "ClientError", "Message", "PeerInfo", "Refused", "RequestFailed", "WouldBlock"]
 
 _ANSWER_WITHIN_S = 5.0
+_STORE_WITHIN_S = 1.0
 
 
 class Client:
@@ -62,26 +65,30 @@ class Client:
         payload: bytes,
         *,
         to: str,
-        priority: int | None = None,
-        reliability: str | None = None,
-        keep: str | None = None,
-        lifetime_s: float | None = None,
-        offline: str | None = None,
+        **options: Unpack[PublishOptions],
     ) -> None:
         """Hand a message to the daemon, for the node named ``to`` or ``all``. Does not wait.
 
-        What is None comes from the topic's settings. Refusals that only the daemon can judge (a full queue, a peer lost
-        this instant) arrive later and are counted in :attr:`refusals`.
+        What ``options`` leave out comes from the topic's settings. A message of a topic with ``offline = "store"`` is
+        repeated by this client until the daemon has it safe, also across a restart of the daemon. Refusals that only
+        the daemon can judge (a full queue, a peer lost this instant) arrive later and are counted in :attr:`refusals`.
 
         Raises:
             Refused: It was not taken; ``reason`` says why.
             WouldBlock: The daemon does not keep up.
             ValueError: An argument is none of its choices.
         """
-        overrides = overrides_of(priority, reliability, keep, offline, lifetime_s)
+        overrides = overrides_of(options)
         self._link.pump(0.0)
-        _request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
-        self._link.send(frame)
+        request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
+        try:
+            self._link.send(frame)
+        except WouldBlock:
+            self._state.withdraw(request)
+            raise
+        except Refused:
+            if not self._state.is_undecided(request):  # a stored one goes out with the next connection
+                raise
 
     def publish_wait(
         self,
@@ -90,11 +97,7 @@ class Client:
         *,
         to: str,
         timeout_s: float | None = None,
-        priority: int | None = None,
-        reliability: str | None = None,
-        keep: str | None = None,
-        lifetime_s: float | None = None,
-        offline: str | None = None,
+        **options: Unpack[PublishOptions],
     ) -> int:
         """Hand a message to the daemon and wait until it has taken it: with back-pressure. Return its message id.
 
@@ -103,10 +106,12 @@ class Client:
             WouldBlock: The queue had no room within ``timeout_s``; the message may still be taken.
             ValueError: An argument is none of its choices.
         """
-        overrides = overrides_of(priority, reliability, keep, offline, lifetime_s)
+        overrides = overrides_of(options)
         self._link.pump(0.0)
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
-        if not self._link.wait(lambda: self._link.try_send(frame), timeout_s):
+        connection = self._link.connections
+        if not self._link.wait(lambda: self._is_sent(request, frame, connection), timeout_s):
+            self._state.withdraw(request)
             raise WouldBlock("the daemon does not keep up")
         connection = self._link.connections
         verdicts: list[local_wire.Verdict] = []
@@ -115,7 +120,9 @@ class Client:
             verdict = self._state.take_verdict(request)
             if verdict is not None:
                 verdicts.append(verdict)
-            return verdict is not None or not self._link.is_connected or self._link.connections != connection
+            if verdict is not None or self._state.is_undecided(request):
+                return verdict is not None  # a stored one is repeated after a reconnection
+            return not self._link.is_connected or self._link.connections != connection
 
         if not self._link.wait(is_decided, timeout_s):
             raise WouldBlock("the queue had no room in time")
@@ -140,7 +147,11 @@ class Client:
     def receive(self, timeout_s: float | None = None) -> Message | None:
         """Return the next message, waiting for it if need be; None when ``timeout_s`` is over. 0 does not wait."""
         self._link.wait(lambda: bool(self._state.inbox), timeout_s)
-        return self._state.inbox.popleft() if self._state.inbox else None
+        message = self._state.next_message()
+        taken = self._state.taken_frame()
+        if taken and self._link.try_send(taken):
+            self._state.told_taken()
+        return message
 
     def __iter__(self) -> Iterator[Message]:
         """Yield messages for ever."""
@@ -198,7 +209,9 @@ class Client:
         return self._link.fileno()
 
     def close(self) -> None:
-        """Disconnect; messages not yet taken by the daemon get a moment to leave."""
+        """Disconnect; messages not yet taken by the daemon get a moment to leave, stored ones a second."""
+        if self._state.undecided:
+            self._link.wait(lambda: not self._state.undecided, _STORE_WITHIN_S)
         self._link.close()
 
     def __enter__(self) -> Client:
@@ -208,6 +221,17 @@ class Client:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _is_sent(self, request: int, frame: bytes, connection: int) -> bool:
+        """Send a publish; a stored one was sent by itself if there is another connection than ``connection`` now."""
+        if self._state.is_undecided(request) and self._link.connections != connection:
+            return True
+        try:
+            return self._link.try_send(frame)
+        except Refused:
+            if not self._state.is_undecided(request):
+                raise
+            return False
 
     def _ask(self, method: str, **arguments: str) -> object:
         request, frame = self._state.encode_request(method, **arguments)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from udp_mesh import local_wire
 from udp_mesh.client_state import (
     ClientError,
     ClientState,
     PeerInfo,
+    PublishOptions,
     Refused,
     RequestFailed,
     WouldBlock,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 _RECONNECT_INTERVAL_S = 0.05
 _ANSWER_WITHIN_S = 5.0
+_STORE_WITHIN_S = 1.0
 _MAX_UNSENT_BYTES = 4 * 1024 * 1024
 _READ_BYTES = 256 * 1024
 
@@ -59,9 +61,11 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
-        """Disconnect."""
+        """Disconnect; stored messages get a second to become safe."""
         import asyncio
 
+        if self._state.undecided and self._task is not None:
+            await self._wait(lambda: not self._state.undecided, _STORE_WITHIN_S)
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -77,11 +81,7 @@ class AsyncClient:
         payload: bytes,
         *,
         to: str,
-        priority: int | None = None,
-        reliability: str | None = None,
-        keep: str | None = None,
-        lifetime_s: float | None = None,
-        offline: str | None = None,
+        **options: Unpack[PublishOptions],
     ) -> None:
         """Hand a message to the daemon without waiting; see :meth:`udp_mesh.client.Client.publish`.
 
@@ -89,12 +89,15 @@ class AsyncClient:
             Refused: It was not taken; ``reason`` says why.
             WouldBlock: The daemon does not keep up.
         """
-        overrides = overrides_of(priority, reliability, keep, offline, lifetime_s)
-        writer = self._connected()
-        if writer.transport.get_write_buffer_size() > _MAX_UNSENT_BYTES:
+        overrides = overrides_of(options)
+        writer = self._open_writer()
+        if writer is not None and writer.transport.get_write_buffer_size() > _MAX_UNSENT_BYTES:
             raise WouldBlock("the daemon does not keep up")
-        _request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
-        writer.write(frame)
+        request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
+        if writer is not None:
+            writer.write(frame)
+        elif not self._state.is_undecided(request):  # a stored one goes out with the next connection
+            raise Refused("daemon_unreachable")
 
     async def publish_wait(
         self,
@@ -103,11 +106,7 @@ class AsyncClient:
         *,
         to: str,
         timeout_s: float | None = None,
-        priority: int | None = None,
-        reliability: str | None = None,
-        keep: str | None = None,
-        lifetime_s: float | None = None,
-        offline: str | None = None,
+        **options: Unpack[PublishOptions],
     ) -> int:
         """Hand a message to the daemon and wait until it has taken it. Return its message id.
 
@@ -115,17 +114,20 @@ class AsyncClient:
             Refused: It was not taken; ``reason`` says why.
             WouldBlock: The queue had no room within ``timeout_s``; the message may still be taken.
         """
-        overrides = overrides_of(priority, reliability, keep, offline, lifetime_s)
-        writer = self._connected()
+        overrides = overrides_of(options)
+        writer = self._open_writer()
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
-        writer.write(frame)
+        if writer is not None:
+            writer.write(frame)
+        elif not self._state.is_undecided(request):
+            raise Refused("daemon_unreachable")
         verdicts: list[local_wire.Verdict] = []
 
         def is_decided() -> bool:
             verdict = self._state.take_verdict(request)
             if verdict is not None:
                 verdicts.append(verdict)
-            return verdict is not None or self._writer is not writer
+            return verdict is not None or (self._writer is not writer and not self._state.is_undecided(request))
 
         if not await self._wait(is_decided, timeout_s):
             raise WouldBlock("the queue had no room in time")
@@ -145,7 +147,12 @@ class AsyncClient:
     async def receive(self, timeout_s: float | None = None) -> Message | None:
         """Return the next message; None when ``timeout_s`` is over."""
         await self._wait(lambda: bool(self._state.inbox), timeout_s)
-        return self._state.inbox.popleft() if self._state.inbox else None
+        message = self._state.next_message()
+        taken, writer = self._state.taken_frame(), self._open_writer()
+        if taken and writer is not None:
+            writer.write(taken)
+            self._state.told_taken()
+        return message
 
     async def __aiter__(self) -> AsyncIterator[Message]:
         """Yield messages for ever."""
@@ -184,10 +191,14 @@ class AsyncClient:
         """Change a setting while the daemon runs; return all settings."""
         return table_of(await self._ask("config_set", key=key, value=value))
 
+    def _open_writer(self) -> asyncio.StreamWriter | None:
+        return None if self._writer is None or self._writer.is_closing() else self._writer
+
     def _connected(self) -> asyncio.StreamWriter:
-        if self._writer is None or self._writer.is_closing():
+        writer = self._open_writer()
+        if writer is None:
             raise Refused("daemon_unreachable")
-        return self._writer
+        return writer
 
     async def _ask(self, method: str, **arguments: str) -> object:
         request, frame = self._state.encode_request(method, **arguments)

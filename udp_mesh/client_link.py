@@ -159,7 +159,8 @@ class Link:
         self._rest = memoryview(b"")
         greeting = self._state.connected()
         if greeting:
-            self.send(greeting)
+            with contextlib.suppress(ClientError):  # gone again: the next attempt greets anew
+                self.send(greeting)
 
     def _disconnect(self) -> None:
         if self._socket is not None:

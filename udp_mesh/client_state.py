@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+import secrets
 from collections import Counter, deque
 from dataclasses import dataclass
+from typing import TypedDict
 
 from udp_mesh import local_wire
+from udp_mesh.core.envelope import DurableId
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability
 from udp_mesh.frame_reader import FrameReader
 from udp_mesh.local_wire import FrameType, Message, Overrides, Publish, Verdict
 
 MAX_INBOX_MESSAGES = 65_536
+MAX_UNDECIDED = 512  # stored publishes without a verdict; the daemon remembers twice as many
+MAX_UNDECIDED_BYTES = 32 * 1024 * 1024
+_REMEMBERED_IDS = 65_536
 
 
 class ClientError(Exception):
@@ -51,11 +57,27 @@ class PeerInfo:
     queued_bytes: int
 
 
+class PublishOptions(TypedDict, total=False):
+    """What one publish may change of its topic's settings; what is left out, or None, stays as it is configured."""
+
+    priority: int | None
+    """0..255, lower is more urgent."""
+    reliability: str | None
+    """``reliable`` or ``best_effort``."""
+    keep: str | None
+    """``all`` or ``latest``."""
+    lifetime_s: float | None
+    """Above 0; infinity is for ever."""
+    offline: str | None
+    """``discard``, ``latest`` or ``store``."""
+
+
 class ClientState:
     """Takes the daemon's bytes; survives a reconnection, except for what was asked and not answered."""
 
     def __init__(self) -> None:
-        self.inbox: deque[Message] = deque()
+        self.client = secrets.randbits(64) or 1
+        self.inbox: deque[tuple[DurableId | None, Message]] = deque()
         self.missed = 0
         self.refusals: Counter[str] = Counter()
         self.topics: list[str] = []
@@ -67,15 +89,25 @@ class ClientState:
         self._answers: dict[int, dict[str, object]] = {}
         self._next_request = 0
         self._reader = FrameReader()
+        self._undecided: dict[int, bytes] = {}  # frames of stored publishes, until the daemon has them safe
+        self._undecided_bytes = 0
+        self._seen: dict[DurableId, bool] = {}  # stored messages received; whether the application has them
+        self._taken: list[DurableId] = []
 
     def connected(self) -> bytes:
-        """Begin with a new connection; return what to send first: the subscriptions."""
+        """Begin with a new connection; return what to send first.
+
+        That is who we are, the subscriptions, and the stored publishes on which there is no verdict: the daemon knows
+        those that it has.
+        """
         self._reader = FrameReader()
-        return b"".join(local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics)
+        subscriptions = [local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics]
+        return b"".join((local_wire.encode_identity(self.client), *subscriptions, *self._undecided.values()))
 
     def disconnected(self) -> None:
         """Forget what only held for the lost connection."""
-        self._verdicts.clear()
+        for request in [number for number in self._verdicts if number not in self._undecided]:
+            del self._verdicts[request]
         self._answers.clear()
         self._peers.clear()
         self.is_greeted = False
@@ -91,10 +123,9 @@ class ClientState:
 
     def _frame(self, kind: int, body: memoryview) -> None:
         if kind == FrameType.MESSAGE:
-            if len(self.inbox) >= MAX_INBOX_MESSAGES:
-                self.inbox.popleft()
-                self.missed += 1
-            self.inbox.append(local_wire.decode_message(body))
+            self._keep(None, local_wire.decode_message(body))
+        elif kind == FrameType.STORED_MESSAGE:
+            self._stored(*local_wire.decode_stored_message(body))
         elif kind == FrameType.VERDICT:
             self._verdict(local_wire.decode_verdict(body))
         elif kind == FrameType.LOST:
@@ -111,7 +142,55 @@ class ClientState:
             topics = about["config"]["topics"]
             self._offline = {topic: Offline(policy["offline"]) for topic, policy in topics.items()}
 
+    def _keep(self, durable_id: DurableId | None, message: Message) -> None:
+        if len(self.inbox) >= MAX_INBOX_MESSAGES:
+            oldest = next((n for n, (stored, _) in enumerate(self.inbox) if stored is None), 0)
+            del self.inbox[oldest]
+            self.missed += 1
+        self.inbox.append((durable_id, message))
+
+    def _stored(self, durable_id: DurableId, message: Message) -> None:
+        if durable_id not in self._seen:
+            self._seen[durable_id] = False
+            self._keep(durable_id, message)
+            if len(self._seen) > _REMEMBERED_IDS:
+                del self._seen[next(iter(self._seen))]
+        elif self._seen[durable_id]:
+            self._taken.append(durable_id)  # the daemon did not hear it the first time
+
+    def next_message(self) -> Message | None:
+        """Return the next message for the application, which has it from now on."""
+        if not self.inbox:
+            return None
+        durable_id, message = self.inbox.popleft()
+        if durable_id is not None:
+            self._seen[durable_id] = True
+            self._taken.append(durable_id)
+        return message
+
+    def taken_frame(self) -> bytes:
+        """Return what tells the daemon which stored messages the application has; empty if there is nothing to tell."""
+        return local_wire.encode_taken(self._taken) if self._taken else b""
+
+    def told_taken(self) -> None:
+        """Note that the frame was sent. Should it be lost, the daemon repeats the messages and we the answer."""
+        self._taken.clear()
+
+    @property
+    def undecided(self) -> int:
+        """Stored publishes that the daemon has not confirmed to be safe."""
+        return len(self._undecided)
+
+    def is_undecided(self, request: int) -> bool:
+        """Whether a stored publish will be repeated after a reconnection."""
+        return request in self._undecided
+
+    def withdraw(self, request: int) -> None:
+        """Forget a stored publish that was never sent."""
+        self._undecided_bytes -= len(self._undecided.pop(request, b""))
+
     def _verdict(self, verdict: Verdict) -> None:
+        self.withdraw(verdict.request)
         if verdict.reason:
             self.refusals[verdict.reason] += 1
         if verdict.request in self._verdicts:
@@ -129,13 +208,22 @@ class ClientState:
 
         Raises:
             Refused: It is clear already that the daemon would not take the message.
+            WouldBlock: Too many stored messages wait for the daemon's word that they are safe.
         """
         self._check(topic, payload, to, overrides)
+        is_stored = (overrides.offline or self._offline.get(topic)) is Offline.STORE
+        if is_stored and (len(self._undecided) >= MAX_UNDECIDED or self._undecided_bytes >= MAX_UNDECIDED_BYTES):
+            raise WouldBlock("the daemon's store does not keep up")
         self._next_request = (self._next_request + 1) & 0xFFFFFFFF
-        publish = Publish(self._next_request, topic, payload, to, overrides, wants_verdict=waits, waits=waits)
+        wants_verdict = waits or is_stored
+        publish = Publish(self._next_request, topic, payload, to, overrides, wants_verdict=wants_verdict, waits=waits)
+        frame = local_wire.encode_publish(publish)
         if waits:
             self._verdicts[publish.request] = None
-        return publish.request, local_wire.encode_publish(publish)
+        if is_stored:
+            self._undecided[publish.request] = frame
+            self._undecided_bytes += len(frame)
+        return publish.request, frame
 
     def _check(self, topic: str, payload: bytes, to: str, overrides: Overrides) -> None:
         reason = ""
@@ -174,18 +262,18 @@ class ClientState:
         return verdict
 
 
-def overrides_of(
-    priority: int | None, reliability: str | None, keep: str | None, offline: str | None, lifetime_s: float | None
-) -> Overrides:
+def overrides_of(options: PublishOptions) -> Overrides:
     """Return typed overrides.
 
     Raises:
         ValueError: A word is not one of its choices, or the lifetime is not positive.
     """
+    lifetime_s = options.get("lifetime_s")
+    reliability, keep, offline = options.get("reliability"), options.get("keep"), options.get("offline")
     if lifetime_s is not None and not lifetime_s > 0:
         raise ValueError(f"lifetime_s has to be positive, not {lifetime_s}")
     return Overrides(
-        priority,
+        options.get("priority"),
         None if reliability is None else Reliability(reliability),
         None if keep is None else Keep(keep),
         None if offline is None else Offline(offline),

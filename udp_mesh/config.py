@@ -24,7 +24,7 @@ from pathlib import Path
 from udp_mesh.core import wire
 from udp_mesh.core.settings import BROADCAST_NAME, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("coordinate", "floor", "key", "store", "carriers", "neighbours", "dscp", "compress")
+NOT_YET = ("coordinate", "floor", "key", "carriers", "neighbours", "dscp", "compress")
 NOT_YET_TOPIC = ("rate_limit", "redundancy", "compress")
 
 
@@ -60,6 +60,12 @@ class Config:
     """Unix socket of the local applications; empty: see :func:`default_socket`."""
     queue_bytes: int = 16 * 1024 * 1024
     """Payload waiting or in flight in this node, 65536..2^30; beyond it the least urgent is dropped first."""
+    store: str = ""
+    """File of the messages of topics with ``offline = "store"``; empty: see :meth:`store_path`."""
+    store_bytes: int = 64 * 1024 * 1024
+    """Payload stored for other nodes, and as much again received for this node's applications, 65536..2^40."""
+    store_age_s: float = 86_400.0
+    """No message is stored for longer, whatever its lifetime, 1..2592000 (30 days)."""
     topics: Mapping[str, TopicPolicy] = field(default_factory=dict)
     """Settings by topic."""
 
@@ -76,6 +82,16 @@ class Config:
             trace_fragments=trace_fragments,
             topics=self.topics,
         )
+
+    def store_path(self) -> str:
+        """Return the store's file: ``store``, or one named after the node where state belongs that survives a boot."""
+        if self.store:
+            return self.store
+        if os.access("/var/lib", os.W_OK):
+            folder = Path("/var/lib/udp_mesh")
+        else:
+            folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "udp_mesh"
+        return str(folder / f"{self.name.replace('/', '_')}.db")
 
 
 RUNTIME_KEYS = ("payload_bytes", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes")
@@ -164,9 +180,6 @@ def _topic(name: str, entry: object, source: str, problems: list[str], base: Top
     if not isinstance(entry, dict):
         problems.append(f"{source}: topics.{name}: has to be a table")
         return base
-    if entry.get("offline") == "store":
-        problems.append(f'{prefix}offline: "store" is not available yet; use "discard" or "latest"')
-        entry = {key: value for key, value in entry.items() if key != "offline"}
     values = _values(entry, _TOPIC_CHECKS, NOT_YET_TOPIC, prefix=prefix, skip=(), problems=problems)
     return replace(base, **values)  # type: ignore[arg-type]
 
@@ -255,6 +268,9 @@ _CHECKS: dict[str, Check] = {
     "beacon_interval_s": _number(0.05, 60, whole=False),
     "socket": _text,
     "queue_bytes": _number(65536, 1 << 30, whole=True),
+    "store": _text,
+    "store_bytes": _number(65536, 1 << 40, whole=True),
+    "store_age_s": _number(1, 2_592_000, whole=False),
 }
 _TOPIC_CHECKS: dict[str, Check] = {
     "priority": _number(0, 255, whole=True),

@@ -67,6 +67,7 @@ def _serve(config: Config, arguments: argparse.Namespace) -> int:
     node = Node(replace(config, socket=path), core, server, feed)
     try:
         node.open_carriers()
+        node.open_store()
         _stop_on_signals(node)
         if arguments.ready_fd is not None:
             os.write(arguments.ready_fd, b"READY=1\n")

@@ -8,10 +8,12 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TypeVar
 
+from udp_mesh.core.envelope import DurableId, decode_ids, encode_ids
 from udp_mesh.core.settings import MAX_MESSAGE_BYTES, Keep, Offline, Reliability, TopicPolicy
 
 MAX_FRAME_BYTES = MAX_MESSAGE_BYTES + 4096
@@ -21,6 +23,8 @@ _PUBLISH = struct.Struct("!IBhBBBdBB")
 _MESSAGE = struct.Struct("!BQBB")
 _VERDICT = struct.Struct("!IQ")
 _LOST = struct.Struct("!I")
+_IDENTITY = struct.Struct("!Q")
+_DURABLE = struct.Struct("!QQ")
 _UNSET = 255
 FLAG_WANT_VERDICT = 1
 FLAG_WAIT = 2
@@ -33,12 +37,15 @@ class FrameType(IntEnum):
     SUBSCRIBE = 2
     UNSUBSCRIBE = 3
     REQUEST = 4
+    IDENTIFY = 5
+    TAKEN = 6
     WELCOME = 64
     MESSAGE = 65
     PEERS = 66
     VERDICT = 67
     LOST = 68
     RESPONSE = 69
+    STORED_MESSAGE = 70
 
 
 class LocalProtocolError(Exception):
@@ -227,3 +234,43 @@ def decode_lost(body: memoryview) -> int:
     """Decode the body of a lost frame."""
     (count,) = _LOST.unpack_from(body)
     return int(count)
+
+
+def encode_identity(client: int) -> bytes:
+    """Return the frame that names an application across its connections: a random number of 64 bits."""
+    return frame(FrameType.IDENTIFY, _IDENTITY.pack(client))
+
+
+def decode_identity(body: memoryview) -> int:
+    """Decode the body of an identity frame.
+
+    Raises:
+        LocalProtocolError: It is damaged.
+    """
+    if len(body) != _IDENTITY.size:
+        raise LocalProtocolError("an identity has 8 bytes")
+    (client,) = _IDENTITY.unpack(body)
+    return int(client)
+
+
+def encode_stored_message(durable_id: DurableId, message: Message) -> bytes:
+    """Return the frame of a message that the application has to take."""
+    source, topic = message.source.encode(), message.topic.encode()
+    head = _MESSAGE.pack(message.priority, message.received_ns, len(source), len(topic))
+    body = b"".join((_DURABLE.pack(*durable_id), head, source, topic, message.payload))
+    return frame(FrameType.STORED_MESSAGE, body)
+
+
+def decode_stored_message(body: memoryview) -> tuple[DurableId, Message]:
+    """Decode the body of a stored message's frame."""
+    return DurableId(*_DURABLE.unpack_from(body)), decode_message(body[_DURABLE.size :])
+
+
+def encode_taken(ids: Sequence[DurableId]) -> bytes:
+    """Return the frame that says: the application has these stored messages."""
+    return frame(FrameType.TAKEN, encode_ids(ids))
+
+
+def decode_taken(body: memoryview) -> list[DurableId]:
+    """Decode the body of a taken frame; an incomplete id at its end is left out."""
+    return decode_ids(body)

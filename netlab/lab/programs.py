@@ -25,7 +25,8 @@ def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessS
     for process in scenario.nodes[node].processes:
         if process.builtin == "udp_mesh":
             config = folder / f"{node}.udp_mesh.toml"
-            config.write_text(tomli_w.dumps(daemon_config(scenario, node)))
+            store = {"store": str(folder / f"{node}.udp_mesh.db")}
+            config.write_text(tomli_w.dumps(daemon_config(scenario, node) | store))
             argv: tuple[str, ...] = ("udp-mesh-daemon", "--config", str(config))
             argv += ("--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}", "--seed", f"{scenario.seed}/{node}")
         else:

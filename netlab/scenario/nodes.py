@@ -27,6 +27,7 @@ def _whole_bytes(value: object) -> int:
 WholeBytes = Annotated[int, BeforeValidator(_whole_bytes), WithJsonSchema({"type": ["integer", "string"]})]
 
 
+StoreAge = Annotated[float, Quantity(DURATION, minimum=1.0, maximum=2_592_000.0)]
 BeaconInterval = Annotated[float, Quantity(DURATION, minimum=0.05, maximum=60.0)]
 
 
@@ -37,13 +38,7 @@ class TopicSettings(StrictModel):
     reliability: Literal["reliable", "best_effort"] | None = None
     keep: Literal["all", "latest"] | None = None
     lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
-    offline: (
-        Annotated[
-            Literal["discard", "latest"],
-            BeforeValidator(lambda value: not_yet(value, ("discard", "latest"), ("store",), "offline policy")),
-        ]
-        | None
-    ) = None
+    offline: Literal["discard", "latest", "store"] | None = None
     rate_limit: NotYet = None
     redundancy: NotYet = None
 
@@ -61,6 +56,8 @@ class MeshSettings(StrictModel):
     payload_bytes: Annotated[WholeBytes, Field(ge=256, le=65_000)] | None = None
     beacon_interval_s: BeaconInterval | None = Field(default=None, alias="beacon_interval")
     queue_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 30)] | None = None
+    store_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 40)] | None = None
+    store_age_s: StoreAge | None = Field(default=None, alias="store_age")
     topics: dict[Topic, TopicSettings] | None = None
     coordinate: NotYet = None
     key: NotYet = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
-from netlab.scenario.base import NodeName, NotYet, StrictModel, Topic, node_name, not_yet
+from netlab.scenario.base import NodeName, NotYet, StrictModel, Topic, node_name
 from netlab.scenario.quantities import FREQUENCY, SIZE, PositiveSeconds, Quantity
 
 #: The traffic processes open each payload with a header of this size, which carries stream, number and time.
@@ -70,10 +70,7 @@ class Traffic(StrictModel):
     reliability: Literal["reliable", "best_effort"] = "reliable"
     keep: Literal["all", "latest"] = "all"
     lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
-    offline: Annotated[
-        Literal["discard", "latest"],
-        BeforeValidator(lambda value: not_yet(value, ("discard", "latest"), ("store",), "offline policy")),
-    ] = "discard"
+    offline: Literal["discard", "latest", "store"] = "discard"
     redundancy: Annotated[Literal[1], BeforeValidator(_redundancy)] = 1
     rate_limit: NotYet = None
 

@@ -1,7 +1,7 @@
 """What opens the payload of a message that is stored, confirms, asks, answers, or is compressed (docs/wire.md).
 
 Only messages that use one of these features carry it, marked by ``wire.DATA_FLAG_ENVELOPE``. Values and bytes; what
-they mean is the business of :mod:`udp_mesh.core.custody` and :mod:`udp_mesh.core.keeping`.
+they mean is the business of :mod:`udp_mesh.core.custody` and :mod:`udp_mesh.core.inbox`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _REQUEST_PART = struct.Struct("!Q")
 _RESPONSE_PART = struct.Struct("!QB")  # request, status
 _COMPRESSED_PART = struct.Struct("!I")  # size once decompressed
 _DURABLE = struct.Struct("!QQ")
-MAX_ENVELOPE_BYTES = 1 + _STORED_PART.size + _RESPONSE_PART.size + _COMPRESSED_PART.size
+MAX_ENVELOPE_BYTES = 1 + _STORED_PART.size + _REQUEST_PART.size + _RESPONSE_PART.size + _COMPRESSED_PART.size
 
 
 class DurableId(NamedTuple):

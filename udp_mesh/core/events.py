@@ -19,6 +19,8 @@ class DropReason(StrEnum):
     PEER_OFFLINE = "peer_offline"
     PEER_RESTARTED = "peer_restarted"
     PURGED = "purged"
+    STORE_FULL = "store_full"
+    STORE_CORRUPTED = "store_corrupted"
 
 
 class RefusalReason(StrEnum):
@@ -31,6 +33,10 @@ class RefusalReason(StrEnum):
     BAD_TOPIC = "bad_topic"
     BAD_POLICY = "bad_policy"
     QUEUE_FULL = "queue_full"
+    STORE_FULL = "store_full"
+    DISK_FULL = "disk_full"
+    STORE_FAILED = "store_failed"
+    """The store file cannot be used; the event ``store_problem`` says why."""
 
 
 class PeerUpReason(StrEnum):
@@ -129,6 +135,52 @@ class MessageDropped:
 
 
 @dataclass(frozen=True, slots=True)
+class MessageStored:
+    """A message is safe in this node's store; ``sequence`` is its number there. One event per destination."""
+
+    now: float
+    sequence: int
+    topic: str
+    priority: int
+    size_bytes: int
+    peer: str
+
+
+@dataclass(frozen=True, slots=True)
+class MessageConfirmed:
+    """A stored message is safe in its receiver's store. ``latency_s``: since it was published or this node started."""
+
+    now: float
+    sequence: int
+    topic: str
+    priority: int
+    peer: str
+    latency_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StoredDropped:
+    """A stored message ended without a confirmation."""
+
+    now: float
+    sequence: int
+    topic: str
+    priority: int
+    size_bytes: int
+    peer: str
+    reason: DropReason
+
+
+@dataclass(frozen=True, slots=True)
+class StoreProblem:
+    """The store file could not be read or written. ``detail`` says what was done about it."""
+
+    now: float
+    reason: str
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
 class PartialPurged:
     """What had arrived of a message was forgotten. ``is_settled``: its sender gave it up first."""
 
@@ -202,6 +254,10 @@ Event = (
     | MessageAcked
     | MessageDelivered
     | MessageDropped
+    | MessageStored
+    | MessageConfirmed
+    | StoredDropped
+    | StoreProblem
     | PartialPurged
     | PeerUp
     | PeerDown

@@ -148,6 +148,17 @@ class MeshCore:
         """Whether a message for one destination fits into the queue without dropping another."""
         return self._outbox.has_room(topic, size_bytes)
 
+    def is_online(self, name: str) -> bool:
+        """Whether a node of this name was heard and is not held offline."""
+        peer = self._state.peers.get(name)
+        return peer is not None and peer.is_online
+
+    def seek(self, name: str, *, now: float) -> None:
+        """Count as traffic what waits for a node outside this core, so that it is probed for while it is offline."""
+        peer = self._state.peers.get(name)
+        if peer is not None:
+            peer.last_traffic_s = now
+
     def peers(self, *, now: float) -> list[PeerStatus]:
         """Return the state of every node ever heard in this epoch."""
         return [

@@ -30,6 +30,8 @@ class Offline(StrEnum):
 
     DISCARD = "discard"
     LATEST = "latest"
+    STORE = "store"
+    """Kept in a file by the owner of the core (:mod:`udp_mesh.io.durable`); the core itself treats it as discard."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import selectors
 import socket
+import sys
 import time
 from collections import Counter
 
 from udp_mesh import local_wire
 from udp_mesh.config import Config
-from udp_mesh.core.events import MessageDelivered, PeerDown, PeerUp
+from udp_mesh.core import envelope as envelopes
+from udp_mesh.core import wire
+from udp_mesh.core.events import Event, MessageDelivered, PeerDown, PeerUp, StoreProblem
 from udp_mesh.core.mesh import Datagram, MeshCore
+from udp_mesh.io.durable import Durable
 from udp_mesh.io.feed import EventFeed
 from udp_mesh.io.interfaces import list_interfaces
 from udp_mesh.io.requests import Requests
@@ -36,9 +40,12 @@ class Node:
         self._counters: Counter[str] = Counter()
         self._carriers: dict[int, UdpCarrier] = {}
         self._selector = selectors.SelectSelector()
-        self._requests = Requests(core, config, self._config_changed)
+        self._durable = Durable(core, server, config, self._report)
+        self._watched_store: int | None = None
+        self._requests = Requests(core, self._durable, config, self._config_changed)
         self._requests.io_stats = lambda: dict(self._counters)
         self._is_stopping = False
+        self._has_news = False
         self._rescan_at_s = 0.0
         self._selector.register(server, selectors.EVENT_READ)
         # A signal handler only runs between bytecodes: the pipe wakes select when one arrives.
@@ -50,6 +57,10 @@ class Node:
     def stop(self) -> None:
         """End :meth:`run` after the current turn; may be called from a signal handler."""
         self._is_stopping = True
+
+    def open_store(self) -> None:
+        """Open the file of stored messages if there is one, or a topic needs it; failures are told and not fatal."""
+        self._durable.open_if_wanted()
 
     def open_carriers(self) -> None:
         """Open a socket on every wanted interface that is there, and close those of interfaces that are gone.
@@ -81,7 +92,7 @@ class Node:
         """Serve until :meth:`stop`."""
         while not self._is_stopping:
             self._exhaust()
-            wait_s = max(0.0, min(self._core.next_timer(), self._rescan_at_s) - time.monotonic())
+            wait_s = max(0.0, self._next_timer() - time.monotonic())
             if any(carrier.backlog for carrier in self._carriers.values()):
                 wait_s = min(wait_s, 0.0005)
             for key, events in self._selector.select(wait_s):
@@ -91,6 +102,13 @@ class Node:
                 self._core.handle_timer(now=now)
             if now >= self._rescan_at_s:
                 self._rescan()
+
+    def _next_timer(self) -> float:
+        if self._has_news and self._durable.fileno() is not None:
+            return time.monotonic()
+        times = [self._core.next_timer(), self._rescan_at_s]
+        store_s = self._durable.next_timer()
+        return min(times if store_s is None else [*times, store_s])
 
     def _ready(self, source: object, events: int) -> None:
         if isinstance(source, UdpCarrier):
@@ -107,6 +125,8 @@ class Node:
                 self._serve(source)
         elif source is self._wake_read:
             self._wake_read.recv(64)
+        elif source == self._watched_store:
+            self._durable.completed()
 
     def _serve(self, connection: Connection) -> None:
         while (frame := connection.next_frame()) is not None:
@@ -115,11 +135,14 @@ class Node:
     def _exhaust(self) -> None:
         """Bring everything that the core has to where it belongs."""
         self._retry_parked()
+        self._events()
+        self._durable.turn(now=time.monotonic())
+        self._watch_store()
         if not any(carrier.backlog for carrier in self._carriers.values()):
             self._dispatch(self._core.datagrams_to_send(now=time.monotonic()))
         else:
             self._dispatch([])
-        self._events()
+        self._has_news = self._events()  # what came of sending: the store looks at it in the next turn, at once
         for connection in list(self._server.connections):
             connection.flush()
             self._watch(connection)
@@ -138,25 +161,54 @@ class Node:
             if mine or carrier.backlog:
                 carrier.send(mine)
 
-    def _events(self) -> None:
-        presence_changed = False
+    def _watch_store(self) -> None:
+        descriptor = self._durable.fileno()
+        if descriptor is not None and self._watched_store is None:
+            self._selector.register(descriptor, selectors.EVENT_READ)
+            self._watched_store = descriptor
+
+    def _report(self, event: Event) -> None:
+        if self._feed is not None:
+            self._feed.add(event)
+        if isinstance(event, StoreProblem):
+            print(f"udp-mesh: {event.reason}: {event.detail}", file=sys.stderr, flush=True)
+
+    def _deliver(self, event: MessageDelivered) -> None:
+        if not event.flags & wire.DATA_FLAG_ENVELOPE:
+            message = local_wire.Message(event.topic, event.payload, event.source, event.priority, time.time_ns())
+            self._server.deliver(message)
+            return
+        decoded = envelopes.decode(event.payload)
+        if decoded is None:
+            self._counters["bad_envelope"] += 1
+            return
+        envelope, body = decoded
+        if envelope.confirms:
+            self._durable.confirmed(event.source, body, now=event.now)
+        elif envelope.stored is not None:
+            self._durable.received(event, envelope, body)
+
+    def _events(self) -> bool:
+        """Carry the core's events to whom they concern; whether there were any."""
+        presence_changed, count = False, 0
         while (event := self._core.next_event()) is not None:
-            if self._feed is not None:
-                self._feed.add(event)
+            count += 1
+            self._report(event)
+            self._durable.on_event(event)
             if isinstance(event, MessageDelivered):
-                self._server.deliver(
-                    local_wire.Message(event.topic, event.payload, event.source, event.priority, time.time_ns())
-                )
+                self._deliver(event)
             elif isinstance(event, PeerUp | PeerDown):
                 presence_changed = True
         if presence_changed:
             self._server.tell_all(FrameType.PEERS, self._requests.peers())
+        return count > 0
 
     def _watch(self, connection: Connection) -> None:
         if connection.is_closed:
             if connection in self._selector.get_map():
                 self._selector.unregister(connection)
             self._server.remove(connection)
+            self._durable.inbox.leave(connection.number)
             return
         wanted = selectors.EVENT_READ if connection.is_readable else 0
         if connection.has_output:
@@ -176,7 +228,8 @@ class Node:
         self._server.tell_all(FrameType.WELCOME, about)
 
     def close(self) -> None:
-        """Close all sockets."""
+        """Close all sockets and the store."""
+        self._durable.close()
         for carrier in self._carriers.values():
             carrier.close()
         self._server.close()

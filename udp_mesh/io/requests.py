@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict
+from math import inf
 from time import monotonic
 
 from udp_mesh import config as configuration
 from udp_mesh import local_wire
 from udp_mesh.core.events import RefusalReason
-from udp_mesh.core.mesh import MeshCore, Refused
-from udp_mesh.io.server import Connection
+from udp_mesh.core.mesh import MeshCore, PeerStatus, Refused
+from udp_mesh.core.settings import Offline
+from udp_mesh.io.durable import Durable
+from udp_mesh.io.server import ALL_TOPICS, Connection
 from udp_mesh.local_wire import FrameType, LocalProtocolError, Publish, Verdict
 
 
@@ -23,9 +26,14 @@ class Requests:
     """Carries out frames. ``on_config`` is told when settings changed."""
 
     def __init__(
-        self, core: MeshCore, config: configuration.Config, on_config: Callable[[configuration.Config], None]
+        self,
+        core: MeshCore,
+        durable: Durable,
+        config: configuration.Config,
+        on_config: Callable[[configuration.Config], None],
     ) -> None:
         self._core = core
+        self._durable = durable
         self._on_config = on_config
         self.config = config
         self.io_stats: Callable[[], dict[str, int]] = dict
@@ -36,9 +44,15 @@ class Requests:
             if kind == FrameType.PUBLISH:
                 self.publish(connection, local_wire.decode_publish(body))
             elif kind == FrameType.SUBSCRIBE:
-                connection.topics.add(str(body, "utf-8"))
+                self._subscribe(connection, str(body, "utf-8"))
             elif kind == FrameType.UNSUBSCRIBE:
                 connection.topics.discard(str(body, "utf-8"))
+                self._durable.inbox.unsubscribe(connection.number, str(body, "utf-8"))
+            elif kind == FrameType.IDENTIFY:
+                connection.client = local_wire.decode_identity(body)
+            elif kind == FrameType.TAKEN:
+                for durable_id in local_wire.decode_taken(body):
+                    self._durable.inbox.take(connection.number, durable_id)
             elif kind == FrameType.REQUEST:
                 self._request(connection, json.loads(bytes(body)))
             else:
@@ -46,11 +60,21 @@ class Requests:
         except (LocalProtocolError, ValueError):  # json and unicode errors are ValueErrors
             connection.is_closed = True
 
+    def _subscribe(self, connection: Connection, topic: str) -> None:
+        connection.topics.add(topic)
+        if topic != ALL_TOPICS:
+            self._durable.inbox.subscribe(connection.number, topic)
+
     def publish(self, connection: Connection, publish: Publish) -> None:
         """Publish, or park the connection until there is room, if the application chose to wait."""
+        policy = publish.overrides.apply(self._core.settings.policy(publish.topic))
+        if policy.offline is Offline.STORE:
+            connection.parked = None if self._durable.has_room() else publish
+            if connection.parked is None:
+                self._durable.publish(connection, publish, policy)
+            return
         if connection.parked is publish and not self._core.has_room(publish.topic, len(publish.payload)):
             return
-        policy = publish.overrides.apply(self._core.settings.policy(publish.topic))
         try:
             message_id = self._core.publish(
                 publish.topic,
@@ -81,7 +105,9 @@ class Requests:
 
     def peers(self) -> list[dict[str, object]]:
         """Return the state of every peer as plain values."""
-        return [asdict(peer) for peer in self._core.peers(now=monotonic())]
+        known = [asdict(peer) for peer in self._core.peers(now=monotonic())]
+        heard = {peer["name"] for peer in known}
+        return known + [_not_heard(name) for name in self._durable.known_peers if name not in heard]
 
     def config_values(self) -> dict[str, object]:
         return configuration.describe(self.config)
@@ -103,8 +129,9 @@ class Requests:
         if method == "stats":
             return {
                 **self._about(),
-                "counters": {**self._core.stats(), **self.io_stats()},
+                "counters": {**self._core.stats(), **self.io_stats(), **self._durable.stats()},
                 "queues": self._core.queue_depths(),
+                "stored": self._durable.custody.depths(),
                 "peers": self.peers(),
             }
         if method == "config_get":
@@ -120,3 +147,8 @@ class Requests:
         self.config = changed
         self._on_config(changed)
         return self.config_values()
+
+
+def _not_heard(name: str) -> dict[str, object]:
+    """Describe a node that an earlier start of the daemon knew and this one has not heard yet."""
+    return asdict(PeerStatus(name, False, 0, "", inf, None, 0.0, 0, 0.0, 0, 0))

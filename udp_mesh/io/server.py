@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import socket
 import stat
 from collections import deque
@@ -17,6 +18,7 @@ MAX_WAITING_BYTES = 8 * 1024 * 1024
 ALL_TOPICS = "*"
 _BATCH = 16
 _SOCKET_MODE = 0o600
+_NUMBERS = itertools.count(1)
 
 
 class SocketInUse(Exception):
@@ -48,6 +50,8 @@ class Connection:
 
     def __init__(self, sock: socket.socket) -> None:
         self.socket = sock
+        self.number = next(_NUMBERS)  # tells it from every other of this daemon
+        self.client = 0  # the application's own random number; it keeps it across connections
         self.topics: set[str] = set()
         self.parked: Publish | None = None  # waits for room in the queue; nothing is read meanwhile
         self.is_closed = False
