@@ -30,10 +30,10 @@ from udp_mesh.core.inbox import Inbox
 from udp_mesh.core.mesh import MeshCore
 from udp_mesh.core.settings import Offline, TopicPolicy
 from udp_mesh.io import store_rows
-from udp_mesh.io.incoming import Incoming
+from udp_mesh.io.incoming import Applications, Incoming
 from udp_mesh.io.outgoing import Outgoing, answer, ignore
-from udp_mesh.io.server import Connection, LocalServer
-from udp_mesh.io.store import Outcome, StoreThread
+from udp_mesh.io.server import Connection
+from udp_mesh.io.store import Outcome, Store, StoreThread
 from udp_mesh.io.store_file import StoreError
 from udp_mesh.local_wire import Publish
 
@@ -44,7 +44,16 @@ PROBLEM_INTERVAL_S = 1.0
 class Durable:
     """Stored messages of one daemon. ``report`` is given events; they also tell why there is no store."""
 
-    def __init__(self, core: MeshCore, server: LocalServer, config: Config, report: Callable[[Event], None]) -> None:
+    def __init__(
+        self,
+        core: MeshCore,
+        server: Applications,
+        config: Config,
+        report: Callable[[Event], None],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        open_store: Callable[[str, float, float], Store] = StoreThread,
+    ) -> None:
         self.custody = Custody(limit_bytes=config.store_bytes, age_s=config.store_age_s)
         self.inbox = Inbox(limit_bytes=config.store_bytes, age_s=config.store_age_s)
         self._counters: Counter[str] = Counter()
@@ -52,7 +61,9 @@ class Durable:
         self._server = server
         self._config = config
         self._report = report
-        self._thread: StoreThread | None = None
+        self._clock = clock
+        self._open_store = open_store
+        self._thread: Store | None = None
         self._outgoing: Outgoing | None = None
         self._incoming: Incoming | None = None
         self._retry_open_at_s = 0.0
@@ -68,7 +79,7 @@ class Durable:
 
     def _open(self) -> tuple[Outgoing, Incoming] | None:
         """Open the file unless it is open. A failure is reported, and tried again later."""
-        now = time.monotonic()
+        now = self._clock()
         if self._outgoing is not None and self._incoming is not None:
             return self._outgoing, self._incoming
         if now < self._retry_open_at_s:
@@ -77,14 +88,14 @@ class Durable:
         path = self._config.store_path()
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            thread = StoreThread(path, age_s=self._config.store_age_s, now=now)
+            thread = self._open_store(path, self._config.store_age_s, now)
         except (StoreError, OSError) as error:
             self._counters["store_failures"] += 1
             text = f"{error}; stored topics are refused until it can be opened"
             self._report(StoreProblem(now, "store_failed", text))
             return None
         self._thread = thread
-        self._outgoing = Outgoing(self._core, self.custody, thread, self._problem)
+        self._outgoing = Outgoing(self._core, self.custody, thread, self._problem, self._clock)
         self._incoming = Incoming(self._core, self._server, self.inbox, thread, self._problem)
         for peer in self._core.peers(now=now):
             self._outgoing.remember(peer.name)
@@ -108,7 +119,7 @@ class Durable:
 
     def _problem(self, outcome: Outcome) -> None:
         """Count what could not be written; report it, but not for every message."""
-        now = time.monotonic()
+        now = self._clock()
         self._counters[f"{outcome.reason}_failures"] += 1
         if now >= self._problem_at_s:
             self._problem_at_s = now + PROBLEM_INTERVAL_S
@@ -181,7 +192,7 @@ class Durable:
             times.append(self._outgoing.seek_at_s)
         return min((time_s for time_s in times if time_s is not None), default=None)
 
-    def _tidy(self, thread: StoreThread) -> None:
+    def _tidy(self, thread: Store) -> None:
         forgotten, self.custody.forgotten = self.custody.forgotten, []
         taken, self.inbox.taken = self.inbox.taken, []
         statements = [store_rows.drop_outgoing(sequence) for sequence in forgotten]

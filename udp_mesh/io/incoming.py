@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
+from typing import Protocol
 
 from udp_mesh import local_wire
 from udp_mesh.core.envelope import DurableId, Envelope
@@ -14,9 +15,15 @@ from udp_mesh.core.mesh import MeshCore
 from udp_mesh.io import store_rows
 from udp_mesh.io.confirmations import Confirmations
 from udp_mesh.io.outgoing import payload_of
-from udp_mesh.io.server import ALL_TOPICS, Connection, LocalServer
-from udp_mesh.io.store import Outcome, StoreThread
+from udp_mesh.io.server import ALL_TOPICS, Connection
+from udp_mesh.io.store import Outcome, Store
 from udp_mesh.local_wire import Message
+
+
+class Applications(Protocol):
+    """Whoever is connected."""
+
+    connections: list[Connection]
 
 
 class Incoming:
@@ -25,9 +32,9 @@ class Incoming:
     def __init__(
         self,
         core: MeshCore,
-        server: LocalServer,
+        server: Applications,
         inbox: Inbox,
-        thread: StoreThread,
+        thread: Store,
         problem: Callable[[Outcome], None],
     ) -> None:
         self.counters: Counter[str] = Counter()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +16,7 @@ from udp_mesh.core.mesh import MeshCore, Refused
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability, TopicPolicy
 from udp_mesh.io import store_rows
 from udp_mesh.io.server import Connection
-from udp_mesh.io.store import Outcome, StoreThread
+from udp_mesh.io.store import Outcome, Store
 from udp_mesh.local_wire import Publish, Verdict
 
 SEEK_INTERVAL_S = 60.0
@@ -29,7 +28,12 @@ class Outgoing:
     """Messages of this node. ``problem`` is told what the file could not do."""
 
     def __init__(
-        self, core: MeshCore, custody: Custody, thread: StoreThread, problem: Callable[[Outcome], None]
+        self,
+        core: MeshCore,
+        custody: Custody,
+        thread: Store,
+        problem: Callable[[Outcome], None],
+        clock: Callable[[], float],
     ) -> None:
         self.counters: Counter[str] = Counter()
         self.known_peers = dict.fromkeys(thread.contents.peers)
@@ -39,6 +43,7 @@ class Outgoing:
         self._custody = custody
         self._thread = thread
         self._problem = problem
+        self._clock = clock
         self._requests = thread.contents.requests
         self._deciding: dict[tuple[int, int], list[tuple[Connection, int]]] = {}
         self._committing_bytes = 0
@@ -89,7 +94,7 @@ class Outgoing:
             self._destinations(publish.to),
             replace(policy, reliability=Reliability.RELIABLE),
             payload=publish.payload,
-            now=time.monotonic(),
+            now=self._clock(),
         )
 
     def _destinations(self, to: str) -> list[str]:
@@ -117,7 +122,7 @@ class Outgoing:
         self._committing_bytes += len(payload) + 1
 
         def done(outcome: Outcome) -> None:
-            now = time.monotonic()
+            now = self._clock()
             self._committing_bytes -= len(payload) + 1
             for entry in entries:
                 if outcome.reason:
@@ -191,7 +196,7 @@ class Outgoing:
             if payload is not None and not entry.is_done:
                 entry.payload = payload
             elif payload is None:
-                self._custody.lost(entry, now=time.monotonic())
+                self._custody.lost(entry, now=self._clock())
 
         self._thread.read(store_rows.outgoing_payload(entry.sequence), done)
 

@@ -13,6 +13,7 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 from udp_mesh.io import store_file
 from udp_mesh.io.store_file import Contents, StoreError
@@ -41,10 +42,27 @@ class _Job:
     done: Done
 
 
+class Store(Protocol):
+    """What the rest of the daemon needs of a store."""
+
+    contents: Contents
+    notes: list[str]
+
+    def fileno(self) -> int: ...
+
+    def write(self, statements: list[Statement], done: Done) -> None: ...
+
+    def read(self, query: Statement, done: Done) -> None: ...
+
+    def outcomes(self) -> Iterator[tuple[Done, Outcome]]: ...
+
+    def close(self) -> None: ...
+
+
 class StoreThread:
     """One file, one thread. ``notes`` are problems that were mended, for people."""
 
-    def __init__(self, path: str, *, age_s: float, now: float) -> None:
+    def __init__(self, path: str, age_s: float, now: float) -> None:
         """Open the file; a damaged one is moved aside and what can be read of it is kept.
 
         Raises:
