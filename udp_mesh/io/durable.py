@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from udp_mesh.config import Config
 from udp_mesh.core import envelope as envelopes
@@ -33,9 +34,10 @@ from udp_mesh.io import store_rows
 from udp_mesh.io.incoming import Applications, Incoming
 from udp_mesh.io.outgoing import Outgoing, answer, ignore
 from udp_mesh.io.server import Connection
-from udp_mesh.io.store import Outcome, Store, StoreThread
-from udp_mesh.io.store_file import StoreError
 from udp_mesh.local_wire import Publish
+
+if TYPE_CHECKING:
+    from udp_mesh.io.store import Outcome, Store
 
 REOPEN_AFTER_S = 5.0
 PROBLEM_INTERVAL_S = 1.0
@@ -52,7 +54,7 @@ class Durable:
         report: Callable[[Event], None],
         *,
         clock: Callable[[], float] = time.monotonic,
-        open_store: Callable[[str, float, float], Store] = StoreThread,
+        open_store: Callable[[str, float, float], Store] | None = None,
     ) -> None:
         self.custody = Custody(limit_bytes=config.store_bytes, age_s=config.store_age_s)
         self.inbox = Inbox(limit_bytes=config.store_bytes, age_s=config.store_age_s)
@@ -79,16 +81,19 @@ class Durable:
 
     def _open(self) -> tuple[Outgoing, Incoming] | None:
         """Open the file unless it is open. A failure is reported, and tried again later."""
-        now = self._clock()
         if self._outgoing is not None and self._incoming is not None:
             return self._outgoing, self._incoming
+        now = self._clock()
         if now < self._retry_open_at_s:
             return None
+        from udp_mesh.io.store import StoreThread  # a daemon that stores nothing does without SQLite
+        from udp_mesh.io.store_file import StoreError
+
         self._retry_open_at_s = now + REOPEN_AFTER_S
         path = self._config.store_path()
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            thread = self._open_store(path, self._config.store_age_s, now)
+            thread = (self._open_store or StoreThread)(path, self._config.store_age_s, now)
         except (StoreError, OSError) as error:
             self._counters["store_failures"] += 1
             text = f"{error}; stored topics are refused until it can be opened"

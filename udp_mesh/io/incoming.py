@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from udp_mesh import local_wire
 from udp_mesh.core.envelope import DurableId, Envelope
@@ -16,8 +16,10 @@ from udp_mesh.io import store_rows
 from udp_mesh.io.confirmations import Confirmations
 from udp_mesh.io.outgoing import payload_of
 from udp_mesh.io.server import ALL_TOPICS, Connection
-from udp_mesh.io.store import Outcome, Store
 from udp_mesh.local_wire import Message
+
+if TYPE_CHECKING:
+    from udp_mesh.io.store import Outcome, Store
 
 
 class Applications(Protocol):

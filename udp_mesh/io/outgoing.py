@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from udp_mesh import local_wire
 from udp_mesh.core import envelope as envelopes
@@ -16,8 +17,10 @@ from udp_mesh.core.mesh import MeshCore, Refused
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability, TopicPolicy
 from udp_mesh.io import store_rows
 from udp_mesh.io.server import Connection
-from udp_mesh.io.store import Outcome, Store
 from udp_mesh.local_wire import Publish, Verdict
+
+if TYPE_CHECKING:
+    from udp_mesh.io.store import Outcome, Store
 
 SEEK_INTERVAL_S = 60.0
 MAX_COMMITTING_BYTES = 4 * 1024 * 1024
