@@ -84,10 +84,10 @@ class Client:
         try:
             self._link.send(frame)
         except WouldBlock:
-            self._state.withdraw(request)
+            self._state.stored.forget(request)
             raise
         except Refused:
-            if not self._state.is_undecided(request):  # a stored one goes out with the next connection
+            if request not in self._state.stored.undecided:  # a stored one goes out with the next connection
                 raise
 
     def publish_wait(
@@ -111,7 +111,7 @@ class Client:
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
         connection = self._link.connections
         if not self._link.wait(lambda: self._is_sent(request, frame, connection), timeout_s):
-            self._state.withdraw(request)
+            self._state.stored.forget(request)
             raise WouldBlock("the daemon does not keep up")
         connection = self._link.connections
         verdicts: list[local_wire.Verdict] = []
@@ -120,7 +120,7 @@ class Client:
             verdict = self._state.take_verdict(request)
             if verdict is not None:
                 verdicts.append(verdict)
-            if verdict is not None or self._state.is_undecided(request):
+            if verdict is not None or request in self._state.stored.undecided:
                 return verdict is not None  # a stored one is repeated after a reconnection
             return not self._link.is_connected or self._link.connections != connection
 
@@ -148,9 +148,9 @@ class Client:
         """Return the next message, waiting for it if need be; None when ``timeout_s`` is over. 0 does not wait."""
         self._link.wait(lambda: bool(self._state.inbox), timeout_s)
         message = self._state.next_message()
-        taken = self._state.taken_frame()
+        taken = self._state.stored.taken_frame()
         if taken and self._link.try_send(taken):
-            self._state.told_taken()
+            self._state.stored.told_taken()
         return message
 
     def __iter__(self) -> Iterator[Message]:
@@ -210,8 +210,8 @@ class Client:
 
     def close(self) -> None:
         """Disconnect; messages not yet taken by the daemon get a moment to leave, stored ones a second."""
-        if self._state.undecided:
-            self._link.wait(lambda: not self._state.undecided, _STORE_WITHIN_S)
+        if self._state.stored.undecided:
+            self._link.wait(lambda: not self._state.stored.undecided, _STORE_WITHIN_S)
         self._link.close()
 
     def __enter__(self) -> Client:
@@ -224,12 +224,12 @@ class Client:
 
     def _is_sent(self, request: int, frame: bytes, connection: int) -> bool:
         """Send a publish; a stored one was sent by itself if there is another connection than ``connection`` now."""
-        if self._state.is_undecided(request) and self._link.connections != connection:
+        if request in self._state.stored.undecided and self._link.connections != connection:
             return True
         try:
             return self._link.try_send(frame)
         except Refused:
-            if not self._state.is_undecided(request):
+            if request not in self._state.stored.undecided:
                 raise
             return False
 

@@ -64,8 +64,8 @@ class AsyncClient:
         """Disconnect; stored messages get a second to become safe."""
         import asyncio
 
-        if self._state.undecided and self._task is not None:
-            await self._wait(lambda: not self._state.undecided, _STORE_WITHIN_S)
+        if self._state.stored.undecided and self._task is not None:
+            await self._wait(lambda: not self._state.stored.undecided, _STORE_WITHIN_S)
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -96,7 +96,7 @@ class AsyncClient:
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
         if writer is not None:
             writer.write(frame)
-        elif not self._state.is_undecided(request):  # a stored one goes out with the next connection
+        elif request not in self._state.stored.undecided:  # a stored one goes out with the next connection
             raise Refused("daemon_unreachable")
 
     async def publish_wait(
@@ -119,7 +119,7 @@ class AsyncClient:
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
         if writer is not None:
             writer.write(frame)
-        elif not self._state.is_undecided(request):
+        elif request not in self._state.stored.undecided:
             raise Refused("daemon_unreachable")
         verdicts: list[local_wire.Verdict] = []
 
@@ -127,7 +127,7 @@ class AsyncClient:
             verdict = self._state.take_verdict(request)
             if verdict is not None:
                 verdicts.append(verdict)
-            return verdict is not None or (self._writer is not writer and not self._state.is_undecided(request))
+            return verdict is not None or (self._writer is not writer and request not in self._state.stored.undecided)
 
         if not await self._wait(is_decided, timeout_s):
             raise WouldBlock("the queue had no room in time")
@@ -148,10 +148,10 @@ class AsyncClient:
         """Return the next message; None when ``timeout_s`` is over."""
         await self._wait(lambda: bool(self._state.inbox), timeout_s)
         message = self._state.next_message()
-        taken, writer = self._state.taken_frame(), self._open_writer()
+        taken, writer = self._state.stored.taken_frame(), self._open_writer()
         if taken and writer is not None:
             writer.write(taken)
-            self._state.told_taken()
+            self._state.stored.told_taken()
         return message
 
     async def __aiter__(self) -> AsyncIterator[Message]:

@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from udp_mesh import local_wire
+from udp_mesh.client_stored import StoredState
 from udp_mesh.core.envelope import DurableId
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability
 from udp_mesh.frame_reader import FrameReader
 from udp_mesh.local_wire import FrameType, Message, Overrides, Publish, Verdict
 
 MAX_INBOX_MESSAGES = 65_536
-MAX_UNDECIDED = 512  # stored publishes without a verdict; the daemon remembers twice as many
-MAX_UNDECIDED_BYTES = 32 * 1024 * 1024
-_REMEMBERED_IDS = 65_536
 
 
 class ClientError(Exception):
@@ -77,6 +75,7 @@ class ClientState:
 
     def __init__(self) -> None:
         self.client = secrets.randbits(64) or 1
+        self.stored = StoredState()
         self.inbox: deque[tuple[DurableId | None, Message]] = deque()
         self.missed = 0
         self.refusals: Counter[str] = Counter()
@@ -89,10 +88,6 @@ class ClientState:
         self._answers: dict[int, dict[str, object]] = {}
         self._next_request = 0
         self._reader = FrameReader()
-        self._undecided: dict[int, bytes] = {}  # frames of stored publishes, until the daemon has them safe
-        self._undecided_bytes = 0
-        self._seen: dict[DurableId, bool] = {}  # stored messages received; whether the application has them
-        self._taken: list[DurableId] = []
 
     def connected(self) -> bytes:
         """Begin with a new connection; return what to send first.
@@ -102,11 +97,11 @@ class ClientState:
         """
         self._reader = FrameReader()
         subscriptions = [local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics]
-        return b"".join((local_wire.encode_identity(self.client), *subscriptions, *self._undecided.values()))
+        return b"".join((local_wire.encode_identity(self.client), *subscriptions, *self.stored.undecided.values()))
 
     def disconnected(self) -> None:
         """Forget what only held for the lost connection."""
-        for request in [number for number in self._verdicts if number not in self._undecided]:
+        for request in [number for number in self._verdicts if number not in self.stored.undecided]:
             del self._verdicts[request]
         self._answers.clear()
         self._peers.clear()
@@ -125,7 +120,9 @@ class ClientState:
         if kind == FrameType.MESSAGE:
             self._keep(None, local_wire.decode_message(body))
         elif kind == FrameType.STORED_MESSAGE:
-            self._stored(*local_wire.decode_stored_message(body))
+            durable_id, message = local_wire.decode_stored_message(body)
+            if self.stored.receive(durable_id):
+                self._keep(durable_id, message)
         elif kind == FrameType.VERDICT:
             self._verdict(local_wire.decode_verdict(body))
         elif kind == FrameType.LOST:
@@ -149,48 +146,17 @@ class ClientState:
             self.missed += 1
         self.inbox.append((durable_id, message))
 
-    def _stored(self, durable_id: DurableId, message: Message) -> None:
-        if durable_id not in self._seen:
-            self._seen[durable_id] = False
-            self._keep(durable_id, message)
-            if len(self._seen) > _REMEMBERED_IDS:
-                del self._seen[next(iter(self._seen))]
-        elif self._seen[durable_id]:
-            self._taken.append(durable_id)  # the daemon did not hear it the first time
-
     def next_message(self) -> Message | None:
         """Return the next message for the application, which has it from now on."""
         if not self.inbox:
             return None
         durable_id, message = self.inbox.popleft()
         if durable_id is not None:
-            self._seen[durable_id] = True
-            self._taken.append(durable_id)
+            self.stored.take(durable_id)
         return message
 
-    def taken_frame(self) -> bytes:
-        """Return what tells the daemon which stored messages the application has; empty if there is nothing to tell."""
-        return local_wire.encode_taken(self._taken) if self._taken else b""
-
-    def told_taken(self) -> None:
-        """Note that the frame was sent. Should it be lost, the daemon repeats the messages and we the answer."""
-        self._taken.clear()
-
-    @property
-    def undecided(self) -> int:
-        """Stored publishes that the daemon has not confirmed to be safe."""
-        return len(self._undecided)
-
-    def is_undecided(self, request: int) -> bool:
-        """Whether a stored publish will be repeated after a reconnection."""
-        return request in self._undecided
-
-    def withdraw(self, request: int) -> None:
-        """Forget a stored publish that was never sent."""
-        self._undecided_bytes -= len(self._undecided.pop(request, b""))
-
     def _verdict(self, verdict: Verdict) -> None:
-        self.withdraw(verdict.request)
+        self.stored.forget(verdict.request)
         if verdict.reason:
             self.refusals[verdict.reason] += 1
         if verdict.request in self._verdicts:
@@ -212,7 +178,7 @@ class ClientState:
         """
         self._check(topic, payload, to, overrides)
         is_stored = (overrides.offline or self._offline.get(topic)) is Offline.STORE
-        if is_stored and (len(self._undecided) >= MAX_UNDECIDED or self._undecided_bytes >= MAX_UNDECIDED_BYTES):
+        if is_stored and self.stored.is_full:
             raise WouldBlock("the daemon's store does not keep up")
         self._next_request = (self._next_request + 1) & 0xFFFFFFFF
         wants_verdict = waits or is_stored
@@ -221,8 +187,7 @@ class ClientState:
         if waits:
             self._verdicts[publish.request] = None
         if is_stored:
-            self._undecided[publish.request] = frame
-            self._undecided_bytes += len(frame)
+            self.stored.remember(publish.request, frame)
         return publish.request, frame
 
     def _check(self, topic: str, payload: bytes, to: str, overrides: Overrides) -> None:

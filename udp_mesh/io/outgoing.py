@@ -74,29 +74,30 @@ class Outgoing:
         if connection.client and sequence is not None:
             answer([(connection, publish.request)], sequence, None)
             return
+        payload = bytes(publish.payload)
         try:
-            entries = self._admit(publish, policy)
+            entries = self._admit(publish, payload, policy)
         except Refused as refusal:
             self.counters[f"refused_{refusal.reason.value}"] += 1
             answer([(connection, publish.request)], 0, refusal.reason)
             return
         self._deciding[key] = [(connection, publish.request)]
-        self._commit(key, entries, publish.payload)
+        self._commit(key, entries, payload)
 
-    def _admit(self, publish: Publish, policy: TopicPolicy) -> list[Stored]:
+    def _admit(self, publish: Publish, payload: bytes, policy: TopicPolicy) -> list[Stored]:
         if not 0 < len(publish.topic.encode()) <= min(wire.MAX_TOPIC_BYTES, self._core.settings.payload_bytes // 2):
             raise Refused(RefusalReason.BAD_TOPIC)
         if not 0 <= policy.priority <= 255 or (policy.lifetime_s is not None and policy.lifetime_s <= 0):
             raise Refused(RefusalReason.BAD_POLICY)
         limit_bytes = min(MAX_MESSAGE_BYTES, self._core.settings.queue_bytes) - envelopes.MAX_ENVELOPE_BYTES
-        if len(publish.payload) > limit_bytes:
+        if len(payload) > limit_bytes:
             raise Refused(RefusalReason.TOO_LARGE)
         return self._custody.admit(
             publish.topic,
-            len(publish.payload),
+            len(payload),
             self._destinations(publish.to),
             replace(policy, reliability=Reliability.RELIABLE),
-            payload=publish.payload,
+            payload=payload,
             now=self._clock(),
         )
 
