@@ -39,6 +39,8 @@ class _Verdict(Protocol):
     departs_ns: int
     length: int
     crc32: int
+    attempts: int
+    rssi_dbm: int
 
 
 def decoder_for(channel: Channel, schema: str) -> Decoder | None:
@@ -86,6 +88,8 @@ def _verdict_decoder() -> Decoder:
             record.departs_ns,
             record.length,
             record.crc32,
+            record.attempts,
+            record.rssi_dbm if record.attempts else None,
         )
 
     return decode

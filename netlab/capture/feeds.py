@@ -14,7 +14,7 @@ import time
 from typing import Protocol
 
 from netlab.capture.messages import AddFeed, FeedKind
-from netlab.capture.schemas import LogLevel, encode_verdict, encode_verdict_ends
+from netlab.capture.schemas import LogLevel, encode_attempts, encode_verdict, encode_verdict_ends
 from netlab.capture.topics import Topics
 from netlab.medium.verdicts import VERDICT_RECORD
 
@@ -168,7 +168,7 @@ class LogFeed(_Lines):
 
 
 class VerdictFeed(_Stream):
-    """Packed ``VERDICT_RECORD``s of the air process; port numbers become names."""
+    """Packed ``VERDICT_RECORD``s of the processes that carry frames; port numbers become names."""
 
     def __init__(self, fd: int, topics: Topics, ports: list[tuple[str, str]]) -> None:
         super().__init__(fd)
@@ -179,11 +179,11 @@ class VerdictFeed(_Stream):
     def _take(self, data: bytes) -> bytes:
         whole = len(data) - len(data) % VERDICT_RECORD.size
         add, channel, ends = self._topics.writer.add_message, self._topics.verdicts(), self._ends
-        for arrived_ns, departs_ns, crc32, length, sender, receiver, verdict in VERDICT_RECORD.iter_unpack(
-            memoryview(data)[:whole]
-        ):
+        for record in VERDICT_RECORD.iter_unpack(memoryview(data)[:whole]):
+            arrived_ns, departs_ns, crc32, length, sender, receiver, verdict, attempts, rssi_dbm = record
             pair = ends.get((sender, receiver)) or self._learn(sender, receiver)
-            add(channel, arrived_ns, arrived_ns, encode_verdict(pair, verdict, departs_ns, length, crc32))
+            body = encode_verdict(pair, verdict, departs_ns, length, crc32)
+            add(channel, arrived_ns, arrived_ns, body + encode_attempts(attempts, rssi_dbm) if attempts else body)
         return data[whole:]
 
     def _finish(self) -> None:

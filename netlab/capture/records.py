@@ -58,7 +58,11 @@ class PacketRecord:
 
 @dataclass(frozen=True, slots=True)
 class VerdictRecord:
-    """The medium's decision on one frame for one receiver; ``departs_ns`` is 0 when it was dropped."""
+    """The medium's decision on one frame for one receiver; ``departs_ns`` is 0 when it was dropped.
+
+    ``attempts`` and ``rssi_dbm`` are an 802.11 radio's: how often it was sent, how strongly the receiver hears the
+    sender; 0 and None elsewhere.
+    """
 
     t_ns: int
     sender: tuple[str, str]  # node, interface
@@ -67,6 +71,8 @@ class VerdictRecord:
     departs_ns: int
     length: int
     crc32: int
+    attempts: int = 0
+    rssi_dbm: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,6 +67,8 @@ _VERDICT_FIELDS = (
     ("departs_ns", _F.TYPE_FIXED64),
     ("length", _F.TYPE_FIXED32),
     ("crc32", _F.TYPE_FIXED32),
+    ("attempts", _F.TYPE_UINT32),
+    ("rssi_dbm", _F.TYPE_SINT32),
 )
 
 
@@ -208,6 +210,12 @@ def encode_verdict_ends(sender: tuple[str, str], receiver: tuple[str, str]) -> b
 def encode_verdict(ends: bytes, verdict: int, departs_ns: int, length: int, crc32: int) -> bytes:
     """Encode one ``netlab.Verdict``; ``ends`` is from :func:`encode_verdict_ends`."""
     return ends + _VERDICT_TAIL.pack(0x28, verdict, 0x31, departs_ns, 0x3D, length, 0x45, crc32)
+
+
+def encode_attempts(attempts: int, rssi_dbm: int) -> bytes:
+    """Encode what a ``netlab.Verdict`` of an 802.11 radio has besides, to be put behind :func:`encode_verdict`."""
+    zigzag = rssi_dbm << 1 if rssi_dbm >= 0 else -2 * rssi_dbm - 1
+    return b"\x48" + varint(attempts) + b"\x50" + varint(zigzag)
 
 
 def _text(number: int, text: str) -> bytes:

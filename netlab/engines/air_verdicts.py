@@ -6,6 +6,7 @@ import contextlib
 import socket
 import time
 import zlib
+from collections.abc import Mapping
 
 from netlab.medium.pair import DROPPED, Outcome
 from netlab.medium.verdicts import VERDICT_RECORD
@@ -15,6 +16,7 @@ _BUFFER_BYTES = 4 << 20
 # processes may write to one stream.
 _CHUNK_BYTES = 1 << 14
 _NS_PER_S = 1_000_000_000
+_NO_SIGNAL: Mapping[int, int] = {}
 
 
 class VerdictStream:
@@ -35,15 +37,31 @@ class VerdictStream:
         """Whether records wait."""
         return bool(self._buffer)
 
-    def add(self, outcomes: list[Outcome], frame: bytes, sender: int, now: float, arrived_ns: int) -> None:
-        """Note what became of ``frame``; ``now`` is the medium's time for the instant ``arrived_ns`` (realtime)."""
+    def add(
+        self,
+        outcomes: list[Outcome],
+        frame: bytes,
+        sender: int,
+        now: float,
+        arrived_ns: int,
+        *,
+        attempts: int = 0,
+        rssi_dbm: Mapping[int, int] = _NO_SIGNAL,
+    ) -> None:
+        """Note what became of ``frame``; ``now`` is the medium's time for the instant ``arrived_ns`` (realtime).
+
+        Of 802.11 radios also the ``attempts`` made and how strongly each receiver hears the sender.
+        """
         if len(self._buffer) > _BUFFER_BYTES:
             self.lost += len(outcomes)
             return
         crc, size = zlib.crc32(frame), len(frame)
         for due, receiver, _sent, verdict in outcomes:
             departs_ns = 0 if due == DROPPED else arrived_ns + round((due - now) * _NS_PER_S)
-            self._buffer += VERDICT_RECORD.pack(arrived_ns, departs_ns, crc, size, sender, receiver, verdict)
+            signal = rssi_dbm.get(receiver, 0)
+            self._buffer += VERDICT_RECORD.pack(
+                arrived_ns, departs_ns, crc, size, sender, receiver, verdict, attempts, signal
+            )
 
     def flush(self) -> None:
         """Write what the socket takes at once. A reader that went away takes everything, unseen."""

@@ -93,7 +93,9 @@ class RadioAir:
             sock.send(at_once)
         if self._verdicts is not None:
             shown = ethernet_of(sent.frame) or sent.frame
-            self._verdicts.add(done.outcomes, shown, sender, now, time.time_ns())
+            strengths = {outcome[1]: round(self._medium.rssi_dbm(sender, outcome[1])) for outcome in done.outcomes}
+            stream, attempts = self._verdicts, done.attempts
+            stream.add(done.outcomes, shown, sender, now, time.time_ns(), attempts=attempts, rssi_dbm=strengths)
 
     def _at(self, due: float, now: float, message: bytes, at_once: list[bytes]) -> None:
         if due <= now:

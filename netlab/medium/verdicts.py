@@ -20,5 +20,6 @@ class Verdict(IntEnum):
 
 
 #: arrived_ns (CLOCK_REALTIME), departs_ns (0 when dropped), crc32 of the frame as sent, length in bytes,
-#: sender port, receiver port, verdict. Little endian, 32 bytes.
-VERDICT_RECORD = struct.Struct("<QQIIHHB3x")
+#: sender port, receiver port, verdict, attempts and signal strength in dBm (0 and 0 where the medium has none, as on
+#: wires). Little endian, 32 bytes.
+VERDICT_RECORD = struct.Struct("<QQIIHHBBbx")

@@ -3,9 +3,9 @@
 Theory of operation (IEEE 802.11-2016, 10.3). A group frame is sent once and never acknowledged; each receiver in range
 draws its own loss. A unicast frame is tried until its receiver has it and its acknowledgement has come back, at most
 ``retry_limit`` times. Here a pair's impairment describes *one attempt*: with independent loss p the frame arrives with
-1 - p^retry_limit. Acknowledgements are short and sent at a basic rate: one arrives whenever the way back is in range and
-not cut; where it is not, the receiver has the frame, the sender tries to the limit and reports a failure. A receiver
-that hears the same frame twice drops the second, so only the first is delivered.
+1 - p^retry_limit. Acknowledgements are short and sent at a basic rate: one arrives whenever the way back is in range
+and not cut; where it is not, the receiver has the frame, the sender tries to the limit and reports a failure. A
+receiver that hears the same frame twice drops the second, so only the first is delivered.
 
 Delay, rate and queue of the pair apply to the attempt that arrives, as on any other pair: attempts that fail take no
 time, and pairs do not share airtime.

@@ -63,20 +63,24 @@ def test_events_survive_any_cut_of_the_stream(places: list[int], newline_at_end:
 @settings(max_examples=40, deadline=None)
 @given(PLACES, st.lists(st.sampled_from(Verdict), min_size=1, max_size=20))
 def test_verdicts_survive_any_cut_of_the_stream(places: list[int], verdicts: list[Verdict]) -> None:
-    data = b"".join(VERDICT_RECORD.pack(50 + i, 60 + i, 7, 100, 0, 1, verdict) for i, verdict in enumerate(verdicts))
+    data = b"".join(
+        VERDICT_RECORD.pack(50 + i, 60 + i, 7, 100, 0, 1, verdict, 3, -62) for i, verdict in enumerate(verdicts)
+    )
     records, dropped = record(FeedKind.VERDICTS, "/air/verdicts", cut(data, places))
     assert dropped == 0
     assert [entry.verdict for entry in records if isinstance(entry, VerdictRecord)] == verdicts
     first = records[0]
     assert isinstance(first, VerdictRecord)
     assert (first.sender, first.receiver, first.departs_ns, first.crc32) == (("a", "eth0"), ("b", "eth0"), 60, 7)
+    assert (first.attempts, first.rssi_dbm) == (3, -62)
 
 
 def test_an_unknown_port_is_still_recorded_and_a_torn_record_counted() -> None:
-    data = VERDICT_RECORD.pack(1, 2, 3, 4, 0, 9, 1)
+    data = VERDICT_RECORD.pack(1, 2, 3, 4, 0, 9, 1, 0, 0)
     (entry,), dropped = record(FeedKind.VERDICTS, "/air/verdicts", [data + data[:5]])
     assert isinstance(entry, VerdictRecord)
     assert entry.receiver == ("", "port9")
+    assert (entry.attempts, entry.rssi_dbm) == (0, None)
     assert dropped == 1
 
 

@@ -47,6 +47,14 @@ def test_packets_are_what_protobuf_itself_would_write(
     assert (decoded.direction, decoded.node, decoded.interface, decoded.frame) == (direction, node, interface, frame)
 
 
+@given(st.integers(1, 255), st.integers(-128, 127))
+def test_attempts_behind_a_verdict_are_what_protobuf_itself_would_write(attempts: int, rssi_dbm: int) -> None:
+    ends = schemas.encode_verdict_ends(("a", "radio0"), ("b", "radio0"))
+    data = schemas.encode_verdict(ends, 0, 5, 60, 7) + schemas.encode_attempts(attempts, rssi_dbm)
+    decoded = VERDICT.FromString(data)
+    assert (decoded.attempts, decoded.rssi_dbm, decoded.crc32) == (attempts, rssi_dbm, 7)
+
+
 @given(st.text(), st.text(), st.integers(0, 7), st.integers(0, 2**64 - 1), U32, U32)
 def test_verdicts_are_what_protobuf_itself_would_write(
     node: str, interface: str, verdict: int, departs_ns: int, length: int, crc: int

@@ -196,8 +196,9 @@ def verdicts() -> None:
         whole = len(data) // VERDICT_RECORD.size * VERDICT_RECORD.size
         # other frames than ours (IPv6 neighbour discovery) may be there
         records = [r for r in VERDICT_RECORD.iter_unpack(data[:whole]) if r[4] == 0 and r[3] == len(sent)]
-    arrived, departs, crc, length, sender, receiver, verdict = records[0]
+    arrived, departs, crc, length, sender, receiver, verdict, attempts, rssi_dbm = records[0]
     assert (crc, length, sender, receiver, verdict) == (zlib.crc32(sent), len(sent), 0, 1, Verdict.DELIVERED)
+    assert (attempts, rssi_dbm) == (0, 0)  # only radios have them
     assert before <= arrived <= time.time_ns()
     assert departs - arrived == 2_000_000
     assert records[1][1] == 0

@@ -170,6 +170,12 @@ def test_daemons_talk_over_two_hops_and_the_capture_tells_every_decision(make_la
     assert result.passed, result.report()
     with Capture.open(lab.capture) as capture:
         verdicts = [r for r in capture.records({Kind.VERDICT}) if isinstance(r, VerdictRecord)]
+    strengths = {(r.sender[0], r.receiver[0]): r.rssi_dbm for r in verdicts}
+    assert strengths["base", "relay"] == -62
+    assert strengths["robot1", "relay"] == -71
+    attempts = Counter(r.attempts for r in verdicts)
+    assert set(attempts) <= set(range(1, 8))
+    assert attempts[1] > attempts[2] > 0
     delivered = Counter((r.sender[0], r.receiver[0]) for r in verdicts if r.verdict is Verdict.DELIVERED)
     assert set(delivered) == {("base", "relay"), ("relay", "base"), ("relay", "robot1"), ("robot1", "relay")}
     assert {row["from"] for row in result.summary["links"]} >= {"base/radio0", "relay/radio0"} or result.summary[
