@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from netlab.kernel.machine import Finding, as_json, auto_engine, can_run, examine
+from netlab.vm import findings as vm_findings
 
 
 @click.command()
@@ -19,7 +20,7 @@ def doctor(ctx: click.Context, as_object: bool) -> None:
 
     Exit code 0 if the lab can run here, 1 if not.
     """
-    findings = examine()
+    findings = [*examine(), *vm_findings.examine()]
     runs = can_run(findings)
     if as_object:
         click.echo(json.dumps(as_json(findings), indent=2))
@@ -43,6 +44,9 @@ def _print(findings: list[Finding], runs: bool) -> None:
         console.print(f"\nThe lab can run here; `--engine auto` takes {auto_engine(findings)}.", markup=False)
     else:
         console.print("\nThe lab cannot run here.")
+    available = {finding.name for finding in findings if finding.available}
+    if {"box: uml", "box: ptrace", "box: memory"} <= available:
+        console.print("Virtual time works: netlab run FILE --in vm --clock virtual", markup=False)
 
 
 def _mark(finding: Finding) -> str:

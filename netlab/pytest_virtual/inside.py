@@ -22,6 +22,7 @@ class Inside:
         self._folder = folder
         wanted = json.loads((folder / WANTED).read_text())
         self._wanted: list[str] = wanted["tests"]
+        self._trouble: list[str] = []
         # The command line was the outside's, for its options and conftests; what to collect is known better here.
         config.args = wanted["files"]
 
@@ -36,13 +37,15 @@ class Inside:
         found = {item.nodeid: item for item in items}
         for test in self._wanted:
             if test not in found:
-                append(self._folder, {"event": "lost", "test": test, "why": "it was not collected in the box"})
+                why = "\n".join(["it was not collected in the box", *self._trouble])
+                append(self._folder, {"event": "lost", "test": test, "why": why})
         items[:] = [found[test] for test in self._wanted if test in found]
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """A module that cannot be imported in the box."""
         if report.failed:
-            append(self._folder, {"event": "trouble", "text": f"{report.nodeid}: {report.longreprtext}"})
+            self._trouble.append(f"{report.nodeid}: {report.longreprtext}")
+            append(self._folder, {"event": "trouble", "text": self._trouble[-1]})
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         """Named before it begins, so that a box that breaks down is blamed on the right one."""

@@ -63,12 +63,6 @@ class BoxedItem(pytest.Item):
             self._reports[phase] = report
         return self._reports.get(phase)
 
-    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The text alone; our insides would bury it."""
-        if isinstance(excinfo.value, TestLostError):
-            return str(excinfo.value)
-        return super().repr_failure(excinfo, style)
-
     def reportinfo(self) -> tuple[os.PathLike[str] | str, int | None, str]:
         """Where the test stands."""
         return self._boxed.reportinfo()
@@ -131,8 +125,13 @@ class Outside:
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
         """What the box reported, whatever the stand-in went through."""
         made = yield
-        undisturbed = call.excinfo is None or call.excinfo.errisinstance((TestLostError, pytest.skip.Exception))
-        return (item.report(call.when) if isinstance(item, BoxedItem) and undisturbed else None) or made
+        if not isinstance(item, BoxedItem):
+            return made
+        if call.excinfo is not None and call.excinfo.errisinstance(TestLostError):
+            made.longrepr = str(call.excinfo.value)  # the text alone; our insides would bury it
+            return made
+        undisturbed = call.excinfo is None or call.excinfo.errisinstance(pytest.skip.Exception)
+        return (item.report(call.when) if undisturbed else None) or made
 
     def report(self, test: str, phase: str) -> pytest.TestReport | None:
         """Wait for the report of a phase; None if the test is lost."""

@@ -14,8 +14,9 @@ from netlab.vm.request import BoxError
 #: KVM may be there and still hang a stock kernel (nested virtualisation): a probe that has not answered by then fails.
 PROBE_LIMIT_S = 10.0
 
+PROBE_MEMORY = "qemu.json"  # in the cache
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-_KVM = Path("/dev/kvm")
+KVM = Path("/dev/kvm")
 _APPEND = "console=ttyS0 loglevel=3 panic=-1 mitigations=off nokaslr no_timer_check tsc=reliable audit=0 apparmor=0"
 
 
@@ -27,7 +28,7 @@ def prepare(kernel: Kernel, control: Path, *, memory_bytes: int, output: Path | 
     """
     ramdisk = control / "initrd"
     ramdisk.write_bytes(_ramdisk(kernel, control))
-    image = cache.root() / "qemu.json"
+    image = cache.root() / PROBE_MEMORY
     machine = machine_options(kvm_boots(kernel, ramdisk, memory=image))
     shares = {"root": Path("/"), "control": control, **({"output": output} if output else {})}
     return [QEMU, *base(kernel, ramdisk, memory_bytes), *machine, "-serial", "stdio", *share_options(shares)]
@@ -60,7 +61,7 @@ def share_options(shares: dict[str, Path]) -> list[str]:
 
 def kvm_boots(kernel: Kernel, ramdisk: Path, *, memory: Path) -> bool:
     """Whether this kernel boots under KVM here; tried once per boot of the host, remembered in ``memory``."""
-    if not os.access(_KVM, os.R_OK | os.W_OK):
+    if not os.access(KVM, os.R_OK | os.W_OK):
         return False
     key = f"{_BOOT_ID.read_text().strip()} {kernel.label}"
     try:

@@ -147,7 +147,7 @@ def test_kvm_that_does_not_answer_is_done_without_and_remembered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     probes = []
-    monkeypatch.setattr(qemu, "_KVM", tmp_path)
+    monkeypatch.setattr(qemu, "KVM", tmp_path)
     monkeypatch.setattr(qemu, "_probe", lambda argv: probes.append(argv) or False)
     kernel = Kernel(Emulator.QEMU, Path("/vmlinuz"), "linux-image-x")
     for _ in range(2):
