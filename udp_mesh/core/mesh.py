@@ -159,6 +159,11 @@ class MeshCore:
         if peer is not None:
             peer.last_traffic_s = now
 
+    def window_bytes(self, carrier: int) -> int:
+        """Return how much may be in flight on a carrier, over all peers that are reached by it."""
+        peers = self._state.peers.values()
+        return sum(p.congestion.cwnd_bytes for p in peers if p.is_online and p.path.carrier == carrier)
+
     def peers(self, *, now: float) -> list[PeerStatus]:
         """Return the state of every node ever heard in this epoch."""
         return [

@@ -10,6 +10,8 @@ import time
 
 from udp_mesh.core.events import Event, MessageDelivered
 
+_ENCODER = json.JSONEncoder(separators=(",", ":"))
+_HIDDEN = ("now", "payload", "flags", "token")
 _MAX_WAITING_BYTES = 1024 * 1024
 
 
@@ -52,15 +54,27 @@ def encode_event(event: Event, *, offset_ns: int) -> bytes:
 
     A payload is replaced by its size.
     """
-    values: dict[str, object] = {"t_ns": int(event.now * 1e9) + offset_ns, "event": event_name(type(event))}
-    for field in dataclasses.fields(event):
-        if field.name not in ("now", "payload", "flags", "token"):
-            values[field.name] = getattr(event, field.name)
+    name, fields = _shape(type(event))
+    values: dict[str, object] = {"t_ns": int(event.now * 1e9) + offset_ns, "event": name}
+    for field in fields:
+        values[field] = getattr(event, field)
     if isinstance(event, MessageDelivered):
         values["size_bytes"] = len(event.payload)
-    return json.dumps(values, separators=(",", ":")).encode() + b"\n"
+    return _ENCODER.encode(values).encode() + b"\n"
 
 
 def event_name(kind: type[Event]) -> str:
     """Return the name of an event in JSON: ``MessageQueued`` -> ``message_queued``."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+
+
+_shapes: dict[str, tuple[str, tuple[str, ...]]] = {}
+
+
+def _shape(kind: type[Event]) -> tuple[str, tuple[str, ...]]:
+    """Return the name of an event and of its fields; worked out once for each kind."""
+    shape = _shapes.get(kind.__name__)
+    if shape is None:
+        fields = tuple(field.name for field in dataclasses.fields(kind) if field.name not in _HIDDEN)
+        shape = _shapes[kind.__name__] = event_name(kind), fields
+    return shape

@@ -27,6 +27,7 @@ from udp_mesh.io.udp import UdpCarrier
 from udp_mesh.local_wire import FrameType
 
 RESCAN_INTERVAL_S = 1.0
+BLOCKED_INTERVAL_S = 0.001
 
 
 class Node:
@@ -92,13 +93,14 @@ class Node:
         """Serve until :meth:`stop`."""
         while not self._is_stopping:
             self._exhaust()
-            wait_s = max(0.0, self._next_timer() - time.monotonic())
-            if any(carrier.backlog for carrier in self._carriers.values()):
-                wait_s = min(wait_s, 0.0005)
+            due_s = self._next_timer()
+            wait_s = max(0.0, due_s - time.monotonic())
+            if self._is_blocked():
+                wait_s = max(wait_s, BLOCKED_INTERVAL_S)  # what is due to be sent cannot be: wait for the socket
             for key, events in self._selector.select(wait_s):
                 self._ready(key.fileobj, events)
             now = time.monotonic()
-            if self._core.next_timer() <= now:
+            if due_s <= now:
                 self._core.handle_timer(now=now)
             if now >= self._rescan_at_s:
                 self._rescan()
@@ -112,12 +114,12 @@ class Node:
 
     def _ready(self, source: object, events: int) -> None:
         if isinstance(source, UdpCarrier):
-            for data, segment_bytes, path, now in source.receive():
-                self._core.receive_burst(data, segment_bytes, path, now=now)
+            if events & selectors.EVENT_READ:
+                for data, segment_bytes, path, now in source.receive():
+                    self._core.receive_burst(data, segment_bytes, path, now=now)
         elif isinstance(source, LocalServer):
             connection = source.accept()
             if connection is not None:
-                self._selector.register(connection, selectors.EVENT_READ)
                 self._requests.welcome(connection)
         elif isinstance(source, Connection):
             if events & selectors.EVENT_READ:
@@ -138,13 +140,11 @@ class Node:
         self._events()
         self._durable.turn(now=time.monotonic())
         self._watch_store()
-        if not any(carrier.backlog for carrier in self._carriers.values()):
-            self._dispatch(self._core.datagrams_to_send(now=time.monotonic()))
-        else:
-            self._dispatch([])
+        self._dispatch([] if self._is_blocked() else self._core.datagrams_to_send(now=time.monotonic()))
         self._has_news = self._events()  # what came of sending: the store looks at it in the next turn, at once
         for connection in list(self._server.connections):
-            connection.flush()
+            if connection.has_output:
+                connection.flush()
             self._watch(connection)
         if self._feed is not None:
             self._feed.flush()
@@ -155,11 +155,19 @@ class Node:
                 self._requests.publish(connection, connection.parked)
                 self._serve(connection)
 
+    def _is_blocked(self) -> bool:
+        return any(carrier.backlog for carrier in self._carriers.values())
+
     def _dispatch(self, datagrams: list[Datagram]) -> None:
         for index, carrier in self._carriers.items():
             mine = [datagram for datagram in datagrams if datagram.path.carrier == index]
-            if mine or carrier.backlog:
-                carrier.send(mine)
+            if not mine and not carrier.backlog:
+                continue
+            was_blocked = bool(carrier.backlog)
+            carrier.send(mine, window_bytes=self._core.window_bytes(index))
+            if bool(carrier.backlog) != was_blocked:
+                wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if carrier.backlog else 0)
+                self._selector.modify(carrier, wanted)
 
     def _watch_store(self) -> None:
         descriptor = self._durable.fileno()
@@ -204,23 +212,22 @@ class Node:
         return count > 0
 
     def _watch(self, connection: Connection) -> None:
-        if connection.is_closed:
-            if connection in self._selector.get_map():
-                self._selector.unregister(connection)
-            self._server.remove(connection)
-            self._durable.inbox.leave(connection.number)
-            return
         wanted = selectors.EVENT_READ if connection.is_readable else 0
         if connection.has_output:
             wanted |= selectors.EVENT_WRITE
-        registered = self._selector.get_map().get(connection)
-        if wanted == 0:
-            if registered is not None:
+        if connection.is_closed:
+            wanted = 0
+        if wanted != connection.watched:
+            if connection.watched == 0:
+                self._selector.register(connection, wanted)
+            elif wanted == 0:
                 self._selector.unregister(connection)
-        elif registered is None:
-            self._selector.register(connection, wanted)
-        elif registered.events != wanted:
-            self._selector.modify(connection, wanted)
+            else:
+                self._selector.modify(connection, wanted)
+            connection.watched = wanted
+        if connection.is_closed:
+            self._server.remove(connection)
+            self._durable.inbox.leave(connection.number)
 
     def _config_changed(self, config: Config) -> None:
         self._config = config

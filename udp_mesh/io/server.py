@@ -55,6 +55,7 @@ class Connection:
         self.topics: set[str] = set()
         self.parked: Publish | None = None  # waits for room in the queue; nothing is read meanwhile
         self.is_closed = False
+        self.watched = 0  # for which events the loop waits
         self._reader = FrameReader()
         self._frames: deque[_Output] = deque()
         self._waiting_bytes = 0

@@ -17,15 +17,18 @@ from udp_mesh.io.interfaces import Interface
 
 _UDP_SEGMENT = 103
 _UDP_GRO = 104
+_SO_SNDBUFFORCE = 32
 _SO_RCVBUFFORCE = 33
 _MSG_CONFIRM = 0x800
 _CONFIRM_WITHIN_S = 1.0
 _SEND_BUFFER_BYTES = 128 * 1024
+_MAX_SEND_BUFFER_BYTES = 8 * 1024 * 1024
 _RECEIVE_BUFFER_BYTES = 4 * 1024 * 1024
 _MAX_SEGMENTS = 44
 _MAX_BURST_BYTES = 63_000
 _MAX_DATAGRAM_BYTES = 65_536
-_BATCH = 32
+_BATCH_BYTES = 256 * 1024
+_LEAST_BYTES = 4096  # what a small datagram counts for, so that a batch of them is bounded in time
 _MAX_HEARD = 1024
 _ANCILLARY_BYTES = socket.CMSG_SPACE(4)
 
@@ -45,6 +48,7 @@ class UdpCarrier:
         self._counters = counters
         self._heard_at_s: dict[str, float] = {}
         self._has_segmentation = True
+        self._send_buffer_bytes = _SEND_BUFFER_BYTES
         self._buffer = memoryview(bytearray(_MAX_DATAGRAM_BYTES))
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
         try:
@@ -59,10 +63,7 @@ class UdpCarrier:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, self.interface.name.encode() + b"\0")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        try:
-            sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
-        except PermissionError:
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        _set_buffer(sock, socket.SO_RCVBUF, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
         try:
             sock.setsockopt(socket.IPPROTO_UDP, _UDP_GRO, 1)
         except OSError:
@@ -77,7 +78,8 @@ class UdpCarrier:
 
         The bytes are valid only until the next one is asked for.
         """
-        for _ in range(_BATCH):
+        budget = _BATCH_BYTES
+        while budget > 0:
             try:
                 size, ancillary, _flags, (address, port) = self.socket.recvmsg_into([self._buffer], _ANCILLARY_BYTES)
             except BlockingIOError:
@@ -85,20 +87,26 @@ class UdpCarrier:
             except OSError as error:
                 self._counters[f"receive_{errno.errorcode.get(error.errno or 0, 'error')}"] += 1
                 return
+            budget -= max(size, _LEAST_BYTES)
             now = time.monotonic()
             if port != self._port:
                 self._counters["bad_source_port"] += 1
                 continue
-            self._heard(address, now)
-            yield self._buffer[:size], _segment_bytes(ancillary) or size, Path(self.interface.index, address), now
+            path = self._heard(address, now)
+            yield self._buffer[:size], _segment_bytes(ancillary) or size, path, now
 
-    def _heard(self, address: str, now: float) -> None:
-        if len(self._heard_at_s) >= _MAX_HEARD:
-            self._heard_at_s.clear()
-        self._heard_at_s[address] = now
+    def _heard(self, address: str, now: float) -> Path:
+        heard = self._heard_at_s
+        if len(heard) >= _MAX_HEARD and address not in heard:
+            heard.clear()
+        heard[address] = now
+        return Path(self.interface.index, address)
 
-    def send(self, datagrams: list[Datagram]) -> None:
-        """Send datagrams of this carrier in order; what the socket does not take now waits in :attr:`backlog`."""
+    def send(self, datagrams: list[Datagram], *, window_bytes: int) -> None:
+        """Send datagrams of this carrier in order; what the socket does not take now waits in :attr:`backlog`.
+
+        ``window_bytes`` may be in flight by right: where the kernel counts what is under way (netem), that has to fit.
+        """
         waiting = self.backlog + datagrams if self.backlog else datagrams
         self.backlog = []
         at = 0
@@ -107,6 +115,8 @@ class UdpCarrier:
             try:
                 self._send_burst(waiting[at:end])
             except BlockingIOError:
+                if self._grow(window_bytes):
+                    continue
                 self.backlog = waiting[at:]
                 self._counters["send_blocked"] += 1
                 return
@@ -120,6 +130,16 @@ class UdpCarrier:
                     continue
                 self._counters[f"send_{errno.errorcode.get(error.errno or 0, 'error')}"] += 1
             at = end
+
+    def _grow(self, window_bytes: int) -> bool:
+        """Make room in the socket for twice the window, if there is less; whether that helped."""
+        wanted = min(2 * window_bytes, _MAX_SEND_BUFFER_BYTES)
+        if wanted <= self._send_buffer_bytes:
+            return False
+        self._send_buffer_bytes = wanted
+        before = self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF)
+        _set_buffer(self.socket, socket.SO_SNDBUF, _SO_SNDBUFFORCE, wanted)
+        return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) > before
 
     def _burst_end(self, datagrams: list[Datagram], at: int) -> int:
         """Return the end of what may leave in one call: segments of one length, of which only the last is shorter."""
@@ -149,6 +169,14 @@ class UdpCarrier:
     def close(self) -> None:
         """Close the socket."""
         self.socket.close()
+
+
+def _set_buffer(sock: socket.socket, option: int, forced_option: int, size_bytes: int) -> None:
+    """Set a buffer's size, beyond the system's limit if this process has the right."""
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, forced_option, size_bytes)
+    except PermissionError:
+        sock.setsockopt(socket.SOL_SOCKET, option, size_bytes)
 
 
 def _length(datagram: Datagram) -> int:
