@@ -48,6 +48,7 @@ def test_radios_join_a_mesh_and_two_parts_stay_two() -> None:
     assert not meshed.reaches("a", "d")
     assert meshed.joined("a", "e") == ("radio",)
     assert not meshed.reaches("a", "e"), "one channel, but e does not speak batman-adv"
+    assert not meshed.reaches("e", "a")
 
 
 def test_to_all_means_the_whole_mesh() -> None:

@@ -70,6 +70,14 @@ def test_a_swap_in_one_moment_is_a_reroute() -> None:
     ]
 
 
+def test_a_cut_in_the_moment_that_joins_again_is_no_reroute() -> None:
+    entries = timeline(outage(5, 10, "r", "b"), outage(5, 20, "s", "b"), outage(15, 2, "a", "s"))
+    assert [(entry.label, entry.reroutes, entry.rejoins) for entry in entries if entry.at_s == 15.0] == [
+        ("outage a-s begins", (), ()),
+        ("outage r-b ends", (), A_B),
+    ]
+
+
 def test_a_hop_needs_both_directions() -> None:
     one_way = {"at": "5s", "outage": {"from": "r", "to": "b", "for": "5s"}}
     both = timeline(one_way, outage(4, 9, "a", "s"))

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import zlib
 from typing import Any
 
 import pytest
 
+from netlab.capture.records import PacketRecord
+from netlab.capture.schemas import Direction
 from netlab.scenario.expect import RerouteExpectation
 from netlab.traces.expectations import ExpectationResult, evaluate
+from netlab.traces.links import PacketLinks
 from netlab.traces.model import Step
 from netlab.traces.reconnects import reconnects
 from netlab.traces.reroutes import reroutes
@@ -86,3 +90,12 @@ def test_no_cut_is_no_success(story: Any) -> None:
     result = expectation(story, "1s")
     assert (result.passed, result.measured) == (False, None)
     assert "no cut in this run left them another path" in result.explanation
+
+
+def test_what_a_mesh_interface_sees_is_no_link_of_its_own() -> None:
+    links = PacketLinks({b"\2aaaaa": ("a", "eth0"), b"\2bbbbb": ("b", "eth0")})
+    for interface, kind in (("bat0", b"\x08\x00"), ("eth0", b"\x43\x05")):
+        frame = b"\xff" * 6 + b"\2aaaaa" + kind + bytes(46)
+        for node, direction in (("a", Direction.OUTBOUND), ("b", Direction.INBOUND)):
+            links.packet(PacketRecord(0, node, interface, direction, 1, len(frame), zlib.crc32(frame), frame))
+    assert list(links.counts()) == [(("a", "eth0"), ("b", "eth0"))]
