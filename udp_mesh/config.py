@@ -25,7 +25,7 @@ from udp_mesh.core import wire
 from udp_mesh.core.settings import BROADCAST_NAME, Keep, Offline, Reliability, Settings, TopicPolicy
 
 NOT_YET = ("coordinate", "floor", "key", "carriers", "neighbours", "dscp", "compress")
-NOT_YET_TOPIC = ("rate_limit", "redundancy", "compress")
+NOT_YET_TOPIC = ("redundancy", "compress")
 
 
 class ConfigError(Exception):
@@ -278,6 +278,8 @@ _TOPIC_CHECKS: dict[str, Check] = {
     "keep": _one_of(Keep),
     "lifetime_s": _number(0.001, 1e9, whole=False),
     "offline": _one_of(Offline),
+    "rate_limit_hz": _number(0, 1e6, whole=False),
+    "rate_limit_bps": _number(0, 1e12, whole=False),
 }
 
 

@@ -64,7 +64,7 @@ def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
         }
         if entry.lifetime_s is not None:
             topic["lifetime_s"] = entry.lifetime_s
-        topics[entry.topic] = topic
+        topics[entry.topic] = topic | (entry.rate_limit or {})
     for name, given in settings.pop("topics", {}).items():
         topics[name] = topics.get(name, {}) | given
     mesh = scenario.meshes[node]

@@ -13,6 +13,7 @@ from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
 from netlab.scenario.mesh import BatmanSettings, MeshWord
 from netlab.scenario.quantities import DURATION, SIZE, PositiveSeconds, Quantity, describe
 from netlab.scenario.radio import node_radio
+from netlab.scenario.rate_limit import RateLimit
 
 BUILTIN_PROCESSES = ("udp_mesh",)
 _LATER_PROCESSES = ("wnet", "rose")
@@ -39,7 +40,7 @@ class TopicSettings(StrictModel):
     keep: Literal["all", "latest"] | None = None
     lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
     offline: Literal["discard", "latest", "store"] | None = None
-    rate_limit: NotYet = None
+    rate_limit: RateLimit | None = None
     redundancy: NotYet = None
 
 
@@ -65,7 +66,10 @@ class MeshSettings(StrictModel):
 
     def daemon_config(self) -> dict[str, Any]:
         """The keys that are given, as the daemon's configuration names them (times in seconds, sizes in bytes)."""
-        return self.model_dump(exclude_none=True)
+        values = self.model_dump(exclude_none=True)
+        for topic in values.get("topics", {}).values():
+            topic.update(topic.pop("rate_limit", {}))
+        return values
 
 
 class Process(StrictModel):

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
-from netlab.scenario.base import NodeName, NotYet, StrictModel, Topic, node_name
+from netlab.scenario.base import NodeName, StrictModel, Topic, node_name
 from netlab.scenario.quantities import FREQUENCY, SIZE, PositiveSeconds, Quantity
+from netlab.scenario.rate_limit import RateLimit
 
 #: The traffic processes open each payload with a header of this size, which carries stream, number and time.
 HEADER_BYTES = 18
@@ -72,12 +73,20 @@ class Traffic(StrictModel):
     lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
     offline: Literal["discard", "latest", "store"] = "discard"
     redundancy: Annotated[Literal[1], BeforeValidator(_redundancy)] = 1
-    rate_limit: NotYet = None
+    rate_limit: RateLimit | None = None
 
     @property
     def topic_settings(self) -> tuple[object, ...]:
         """What belongs to the topic at its sender, not to the single entry."""
-        return (self.priority, self.reliability, self.keep, self.lifetime_s, self.offline, self.redundancy)
+        return (
+            self.priority,
+            self.reliability,
+            self.keep,
+            self.lifetime_s,
+            self.offline,
+            self.redundancy,
+            self.rate_limit,
+        )
 
 
 @dataclass(frozen=True, slots=True)

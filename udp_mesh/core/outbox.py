@@ -9,9 +9,8 @@ message that has begun only makes room for a more urgent one, or nothing big wou
 
 from __future__ import annotations
 
-import heapq
-
 from udp_mesh.core import wire
+from udp_mesh.core.deadlines import Deadlines
 from udp_mesh.core.events import DropReason, MessageAcked, MessageDropped, MessageQueued, RefusalReason
 from udp_mesh.core.messages import Message, Transfer
 from udp_mesh.core.peer import Lane, Peer
@@ -19,8 +18,7 @@ from udp_mesh.core.recovery import SentRun
 from udp_mesh.core.scheduler import Scheduler
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, TopicPolicy
 from udp_mesh.core.state import NodeState
-
-_COMPACT_FROM = 256
+from udp_mesh.core.throttle import Throttle
 
 
 class Refused(Exception):
@@ -42,8 +40,8 @@ class Outbox:
             int, dict[int, Transfer]
         ] = {}  # by order of publication, which is the last part of a key
         self._by_topic: dict[str, dict[int, Transfer]] = {}
-        self._deadlines: list[tuple[float, int, Transfer]] = []
-        self._compact_at = _COMPACT_FROM
+        self._deadlines = Deadlines()
+        self._throttle = Throttle(state.scheduler)
 
     def publish(
         self,
@@ -85,8 +83,7 @@ class Outbox:
         lanes = self._lanes(message, to, now=now)
         self._make_room(message, len(lanes), may_drop=may_drop, now=now)
         state.take_message_id()
-        for lane in lanes:
-            self._add(message, lane, now=now)
+        self._throttle.push([self._add(message, lane, now=now) for lane in lanes], now=now)
         return message.message_id
 
     def has_room(self, topic: str, size_bytes: int) -> bool:
@@ -116,7 +113,7 @@ class Outbox:
         peer.last_traffic_s = now  # also of a refused message: it is worth probing for this peer
         return peer.is_online or message.survives_offline
 
-    def _add(self, message: Message, lane: Lane, *, now: float) -> None:
+    def _add(self, message: Message, lane: Lane, *, now: float) -> Transfer:
         state = self._state
         order = self._order
         self._order += 1
@@ -128,9 +125,7 @@ class Outbox:
         self._by_priority.setdefault(message.policy.priority, {})[order] = transfer
         self._by_topic.setdefault(message.topic, {})[order] = transfer
         self.queued_bytes += message.size_bytes
-        if message.deadline_s is not None:
-            self._watch_deadline(message.deadline_s, order, transfer)
-        state.scheduler.push(transfer)
+        self._deadlines.watch(transfer)
         state.events.append(
             MessageQueued(
                 now,
@@ -142,6 +137,7 @@ class Outbox:
                 lane.name,
             )
         )
+        return transfer
 
     def _supersede(self, newest: Transfer, lane: Lane, *, now: float) -> None:
         topic = newest.message.topic
@@ -249,7 +245,7 @@ class Outbox:
             token=message.token,
             now=message.queued_at_s,
         )
-        self._add(fresh, lane, now=now)
+        self._state.scheduler.push(self._add(fresh, lane, now=now))
 
     def on_peer_offline(self, peer: Peer, *, now: float) -> None:
         """Reliable messages wait for the peer's return; a best-effort one that has begun is lost."""
@@ -267,24 +263,19 @@ class Outbox:
                 self._state.scheduler.push(transfer)
 
     def expire(self, *, now: float) -> None:
-        """Drop every message whose lifetime is over."""
-        while self._deadlines and (self._deadlines[0][0] <= now or self._deadlines[0][2].is_done):
-            self.drop(heapq.heappop(self._deadlines)[2], DropReason.EXPIRED, now=now)
-
-    def _watch_deadline(self, deadline_s: float, order: int, transfer: Transfer) -> None:
-        heapq.heappush(self._deadlines, (deadline_s, order, transfer))
-        if len(self._deadlines) >= self._compact_at:  # long lifetimes must not keep finished messages in memory
-            self._deadlines = [entry for entry in self._deadlines if not entry[2].is_done]
-            heapq.heapify(self._deadlines)
-            self._compact_at = max(_COMPACT_FROM, 2 * len(self._deadlines))
+        """Drop every message whose lifetime is over; let go what a rate limit holds no longer."""
+        for transfer in self._deadlines.due(now=now):
+            self.drop(transfer, DropReason.EXPIRED, now=now)
+        self._throttle.release(now=now)
 
     def depths(self) -> dict[str, int]:
         """Return the messages waiting or in flight, by topic."""
         return {topic: len(transfers) for topic, transfers in self._by_topic.items()}
 
     def next_timer(self) -> float | None:
-        """Return when the next lifetime ends."""
-        return self._deadlines[0][0] if self._deadlines else None
+        """Return when the next lifetime ends, or a rate limit lets something go."""
+        times = (self._deadlines.next_timer(), self._throttle.next_timer())
+        return min((time for time in times if time is not None), default=None)
 
     def _finish(self, transfer: Transfer) -> None:
         message, order = transfer.message, transfer.key[2]

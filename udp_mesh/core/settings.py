@@ -36,13 +36,24 @@ class Offline(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TopicPolicy:
-    """How messages of one topic travel. ``priority``: 0..255, lower is more urgent. ``lifetime_s``: None is forever."""
+    """How messages of one topic travel. ``priority``: 0..255, lower is more urgent. ``lifetime_s``: None is forever.
+
+    ``rate_limit_hz``, ``rate_limit_bps``: at most so many messages, and bits of payload over all destinations, leave
+    per second; 0 is no limit. What exceeds it waits.
+    """
 
     priority: int = 5
     reliability: Reliability = Reliability.RELIABLE
     keep: Keep = Keep.ALL
     lifetime_s: float | None = None
     offline: Offline = Offline.DISCARD
+    rate_limit_hz: float = 0.0
+    rate_limit_bps: float = 0.0
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether there is a rate limit."""
+        return self.rate_limit_hz > 0 or self.rate_limit_bps > 0
 
 
 @dataclass(frozen=True, slots=True)
