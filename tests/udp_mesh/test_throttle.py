@@ -54,6 +54,7 @@ def test_keep_latest_and_lifetimes_thin_out_what_is_held(make_net: Any) -> None:
     net = pair(make_net, TopicPolicy(keep=Keep.LATEST, rate_limit_hz=1.0, lifetime_s=5.0))
     for number in range(10):
         net.publish("a", "video", bytes([number]), "b")
+        net.run(0.01)
     net.run(3.0)
     assert [message.payload[0] for message in net.delivered("b")] == [0, 9]
     assert net.cores["a"].queue_depths() == {}
