@@ -20,13 +20,14 @@ from typing import Unpack
 from udp_mesh import local_wire
 from udp_mesh.client_async import AsyncClient
 from udp_mesh.client_link import Link
-from udp_mesh.client_state import (
+from udp_mesh.client_state import ClientState
+from udp_mesh.client_types import (
     ClientError,
-    ClientState,
     PeerInfo,
     PublishOptions,
     Refused,
     RequestFailed,
+    Status,
     WouldBlock,
     overrides_of,
     peers_of,
@@ -36,7 +37,18 @@ from udp_mesh.client_state import (
 from udp_mesh.config import default_socket
 from udp_mesh.local_wire import FrameType, Message
 
-__all__ = ["AsyncClient", "Client", "ClientError", "Message", "PeerInfo", "Refused", "RequestFailed", "WouldBlock"]
+__all__ = [
+    "AsyncClient",
+    "Client",
+    "ClientError",
+    "Message",
+    "PeerInfo",
+    "PublishOptions",
+    "Refused",
+    "RequestFailed",
+    "Status",
+    "WouldBlock",
+]
 
 _ANSWER_WITHIN_S = 5.0
 _STORE_WITHIN_S = 1.0
@@ -179,6 +191,25 @@ class Client:
     def wait_for_peer(self, name: str, timeout_s: float) -> bool:
         """Wait until a peer is online; False if it was not within ``timeout_s``."""
         return self._link.wait(lambda: self._state.is_online(name), timeout_s)
+
+    def watch_status(self, interval_s: float = 0.2) -> None:
+        """Have the daemon send the state of links and queues now and at every interval (20 ms or more); 0 ends it.
+
+        It appears in :attr:`status` whenever this client reads: while it receives, waits or asks.
+        """
+        self._state.status_interval_s = interval_s
+        self._command(local_wire.encode_watch(interval_s))
+
+    @property
+    def status(self) -> Status | None:
+        """The newest state of links and queues, None before the first; see :meth:`watch_status`."""
+        return self._state.status
+
+    def wait_for_status(self, timeout_s: float | None = None) -> Status | None:
+        """Wait for the next state; None if there was none within ``timeout_s``."""
+        before = self._state.status
+        self._link.wait(lambda: self._state.status is not before, timeout_s)
+        return None if self._state.status is before else self._state.status
 
     def stats(self) -> dict[str, object]:
         """Return the daemon's counters, queue depths and peers."""

@@ -8,13 +8,14 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Unpack
 
 from udp_mesh import local_wire
-from udp_mesh.client_state import (
+from udp_mesh.client_state import ClientState
+from udp_mesh.client_types import (
     ClientError,
-    ClientState,
     PeerInfo,
     PublishOptions,
     Refused,
     RequestFailed,
+    Status,
     WouldBlock,
     overrides_of,
     peers_of,
@@ -178,6 +179,24 @@ class AsyncClient:
     async def wait_for_peer(self, name: str, timeout_s: float) -> bool:
         """Wait until a peer is online; False if it was not within ``timeout_s``."""
         return await self._wait(lambda: self._state.is_online(name), timeout_s)
+
+    def watch_status(self, interval_s: float = 0.2) -> None:
+        """Have the daemon send the state of links and queues now and at every interval; 0 ends it."""
+        self._state.status_interval_s = interval_s
+        writer = self._open_writer()
+        if writer is not None:
+            writer.write(local_wire.encode_watch(interval_s))
+
+    @property
+    def status(self) -> Status | None:
+        """The newest state of links and queues, None before the first."""
+        return self._state.status
+
+    async def wait_for_status(self, timeout_s: float | None = None) -> Status | None:
+        """Wait for the next state; None if there was none within ``timeout_s``."""
+        before = self._state.status
+        await self._wait(lambda: self._state.status is not before, timeout_s)
+        return None if self._state.status is before else self._state.status
 
     async def stats(self) -> dict[str, object]:
         """Return the daemon's counters, queue depths and peers."""

@@ -8,7 +8,8 @@ import socket
 import time
 from collections.abc import Callable
 
-from udp_mesh.client_state import ClientError, ClientState, Refused, WouldBlock
+from udp_mesh.client_state import ClientState
+from udp_mesh.client_types import ClientError, Refused, WouldBlock
 from udp_mesh.local_wire import LocalProtocolError
 
 FINISH_WITHIN_S = 0.05

@@ -5,69 +5,16 @@ from __future__ import annotations
 import json
 import secrets
 from collections import Counter, deque
-from dataclasses import dataclass
-from typing import TypedDict
 
 from udp_mesh import local_wire
 from udp_mesh.client_stored import StoredState
+from udp_mesh.client_types import PeerInfo, Refused, Status, WouldBlock, peers_of
 from udp_mesh.core.envelope import DurableId
-from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability
+from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Offline
 from udp_mesh.frame_reader import FrameReader
 from udp_mesh.local_wire import FrameType, Message, Overrides, Publish, Verdict
 
 MAX_INBOX_MESSAGES = 65_536
-
-
-class ClientError(Exception):
-    """Base of what the clients raise."""
-
-
-class Refused(ClientError):
-    """A message was not taken; ``reason`` is one of the daemon's refusal reasons, or ``daemon_unreachable``."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
-
-
-class WouldBlock(ClientError):
-    """The daemon does not keep up with this application; the message was not taken."""
-
-
-class RequestFailed(ClientError):
-    """The daemon answered a question with an error, or not in time."""
-
-
-@dataclass(frozen=True, slots=True)
-class PeerInfo:
-    """A peer of this node. ``rate_bps``: estimated rate of the path, 0 if never measured."""
-
-    name: str
-    online: bool
-    carrier: int
-    address: str
-    silent_for_s: float
-    srtt_s: float | None
-    rate_bps: float
-    cwnd_bytes: int
-    queue_delay_s: float
-    queued_messages: int
-    queued_bytes: int
-
-
-class PublishOptions(TypedDict, total=False):
-    """What one publish may change of its topic's settings; what is left out, or None, stays as it is configured."""
-
-    priority: int | None
-    """0..255, lower is more urgent."""
-    reliability: str | None
-    """``reliable`` or ``best_effort``."""
-    keep: str | None
-    """``all`` or ``latest``."""
-    lifetime_s: float | None
-    """Above 0; infinity is for ever."""
-    offline: str | None
-    """``discard``, ``latest`` or ``store``."""
 
 
 class ClientState:
@@ -80,6 +27,8 @@ class ClientState:
         self.missed = 0
         self.refusals: Counter[str] = Counter()
         self.topics: list[str] = []
+        self.status: Status | None = None
+        self.status_interval_s = 0.0
         self.is_greeted = False
         self.name = ""
         self._peers: dict[str, PeerInfo] = {}
@@ -97,6 +46,8 @@ class ClientState:
         """
         self._reader = FrameReader()
         subscriptions = [local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics]
+        if self.status_interval_s:
+            subscriptions.append(local_wire.encode_watch(self.status_interval_s))
         return b"".join((local_wire.encode_identity(self.client), *subscriptions, *self.stored.undecided.values()))
 
     def disconnected(self) -> None:
@@ -130,6 +81,9 @@ class ClientState:
         elif kind == FrameType.PEERS:
             self._peers = {entry["name"]: PeerInfo(**entry) for entry in json.loads(bytes(body))}
             self.is_greeted = True
+        elif kind == FrameType.STATUS:
+            state = json.loads(bytes(body))
+            self.status = Status(tuple(peers_of(state["peers"])), state["queues"], state["stored"])
         elif kind == FrameType.RESPONSE:
             answer = json.loads(bytes(body))
             self._answers[answer["id"]] = answer
@@ -225,43 +179,3 @@ class ClientState:
         if verdict is not None:
             del self._verdicts[request]
         return verdict
-
-
-def overrides_of(options: PublishOptions) -> Overrides:
-    """Return typed overrides.
-
-    Raises:
-        ValueError: A word is not one of its choices, or the lifetime is not positive.
-    """
-    lifetime_s = options.get("lifetime_s")
-    reliability, keep, offline = options.get("reliability"), options.get("keep"), options.get("offline")
-    if lifetime_s is not None and not lifetime_s > 0:
-        raise ValueError(f"lifetime_s has to be positive, not {lifetime_s}")
-    return Overrides(
-        options.get("priority"),
-        None if reliability is None else Reliability(reliability),
-        None if keep is None else Keep(keep),
-        None if offline is None else Offline(offline),
-        lifetime_s,
-    )
-
-
-def result_of(answer: dict[str, object]) -> object:
-    """Return what an answer holds.
-
-    Raises:
-        RequestFailed: It is an error.
-    """
-    if "error" in answer:
-        raise RequestFailed(str(answer["error"]))
-    return answer["result"]
-
-
-def peers_of(result: object) -> list[PeerInfo]:
-    """Return an answer about peers, typed."""
-    return [PeerInfo(**entry) for entry in result] if isinstance(result, list) else []
-
-
-def table_of(result: object) -> dict[str, object]:
-    """Return an answer that is an object."""
-    return result if isinstance(result, dict) else {}

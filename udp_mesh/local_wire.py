@@ -25,6 +25,7 @@ _VERDICT = struct.Struct("!IQ")
 _LOST = struct.Struct("!I")
 _IDENTITY = struct.Struct("!Q")
 _DURABLE = struct.Struct("!QQ")
+_WATCH = struct.Struct("!I")  # milliseconds
 _UNSET = 255
 FLAG_WANT_VERDICT = 1
 FLAG_WAIT = 2
@@ -39,6 +40,7 @@ class FrameType(IntEnum):
     REQUEST = 4
     IDENTIFY = 5
     TAKEN = 6
+    WATCH = 7
     WELCOME = 64
     MESSAGE = 65
     PEERS = 66
@@ -46,6 +48,7 @@ class FrameType(IntEnum):
     LOST = 68
     RESPONSE = 69
     STORED_MESSAGE = 70
+    STATUS = 71
 
 
 class LocalProtocolError(Exception):
@@ -251,6 +254,22 @@ def decode_identity(body: memoryview) -> int:
         raise LocalProtocolError("an identity has 8 bytes")
     (client,) = _IDENTITY.unpack(body)
     return int(client)
+
+
+def encode_watch(interval_s: float) -> bytes:
+    """Return the frame that asks for the state of links and queues every so often; 0 ends it."""
+    return frame(FrameType.WATCH, _WATCH.pack(round(interval_s * 1000)))
+
+
+def decode_watch(body: memoryview) -> float:
+    """Decode the body of a watch frame: an interval in seconds.
+
+    Raises:
+        LocalProtocolError: It is damaged.
+    """
+    if len(body) != _WATCH.size:
+        raise LocalProtocolError("a watch frame has 4 bytes")
+    return float(_WATCH.unpack(body)[0]) / 1000
 
 
 def encode_stored_message(durable_id: DurableId, message: Message) -> bytes:

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from udp_mesh import local_wire
-from udp_mesh.client_state import ClientState, PublishOptions, overrides_of
+from udp_mesh.client_state import ClientState
+from udp_mesh.client_types import PublishOptions, overrides_of
 from udp_mesh.config import Config
 from udp_mesh.core import envelope as envelopes
 from udp_mesh.core import wire

@@ -109,8 +109,10 @@ class Node:
         if self._has_news and self._durable.fileno() is not None:
             return time.monotonic()
         times = [self._core.next_timer(), self._rescan_at_s]
-        store_s = self._durable.next_timer()
-        return min(times if store_s is None else [*times, store_s])
+        for time_s in (self._durable.next_timer(), self._requests.status.next_timer()):
+            if time_s is not None:
+                times.append(time_s)
+        return min(times)
 
     def _ready(self, source: object, events: int) -> None:
         if isinstance(source, UdpCarrier):
@@ -141,6 +143,7 @@ class Node:
         self._durable.turn(now=time.monotonic())
         self._watch_store()
         self._dispatch([] if self._is_blocked() else self._core.datagrams_to_send(now=time.monotonic()))
+        self._requests.status.send(now=time.monotonic())
         self._has_news = self._events()  # what came of sending: the store looks at it in the next turn, at once
         for connection in list(self._server.connections):
             if connection.has_output:

@@ -15,6 +15,7 @@ from udp_mesh.core.mesh import MeshCore, PeerStatus, Refused
 from udp_mesh.core.settings import Offline
 from udp_mesh.io.durable import Durable
 from udp_mesh.io.server import ALL_TOPICS, Connection
+from udp_mesh.io.status import StatusPush
 from udp_mesh.local_wire import FrameType, LocalProtocolError, Publish, Verdict
 
 
@@ -36,6 +37,7 @@ class Requests:
         self._durable = durable
         self._on_config = on_config
         self.config = config
+        self.status = StatusPush(self._state)
         self.io_stats: Callable[[], dict[str, int]] = dict
 
     def handle(self, connection: Connection, kind: int, body: memoryview) -> None:
@@ -53,6 +55,8 @@ class Requests:
             elif kind == FrameType.TAKEN:
                 for durable_id in local_wire.decode_taken(body):
                     self._durable.inbox.take(connection.number, durable_id)
+            elif kind == FrameType.WATCH:
+                self.status.watch(connection, local_wire.decode_watch(body), now=monotonic())
             elif kind == FrameType.REQUEST:
                 self._request(connection, json.loads(bytes(body)))
             else:
@@ -127,18 +131,18 @@ class Requests:
         if method == "peers":
             return self.peers()
         if method == "stats":
-            return {
-                **self._about(),
-                "counters": {**self._core.stats(), **self.io_stats(), **self._durable.stats()},
-                "queues": self._core.queue_depths(),
-                "stored": self._durable.custody.depths(),
-                "peers": self.peers(),
-            }
+            counters = {**self._core.stats(), **self.io_stats(), **self._durable.stats()}
+            return {**self._about(), "counters": counters, **self._state()}
         if method == "config_get":
             return self.config_values()
         if method == "config_set":
             return self._config_set(str(request.get("key")), str(request.get("value")))
         raise RequestError(f"unknown method {method!r}; known are peers, stats, config_get, config_set")
+
+    def _state(self) -> dict[str, object]:
+        """Describe links and queues: what applications want to follow."""
+        queues, stored = self._core.queue_depths(), self._durable.custody.depths()
+        return {"queues": queues, "stored": stored, "peers": self.peers()}
 
     def _config_set(self, key: str, value: str) -> object:
         changed = configuration.change(self.config, key, value)
