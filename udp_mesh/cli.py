@@ -125,10 +125,11 @@ def _top(client: Client, arguments: argparse.Namespace) -> int:
         stats = client.stats()
         print(_CLEAR_SCREEN if sys.stdout.isatty() else "", end="")
         print(f"{stats['name']}  {time.strftime('%H:%M:%S')}\n{_table(client)}\n")
-        queues = stats["queues"]
-        if isinstance(queues, dict):
-            for topic, depth in sorted(queues.items()):
-                print(f"{topic:<40} {depth:>8} waiting or in flight")
+        for key, words in (("queues", "waiting or in flight"), ("stored", "in the file, unconfirmed")):
+            queues = stats[key]
+            if isinstance(queues, dict):
+                for topic, depth in sorted(queues.items()):
+                    print(f"{topic:<40} {depth:>8} {words}")
         sys.stdout.flush()
         screens += 1
         if screens == arguments.count:

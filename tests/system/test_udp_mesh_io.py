@@ -243,3 +243,29 @@ def test_a_port_in_use_is_one_clear_line(hosts: tuple[Host, Host], tmp_path: Pat
     assert second.returncode == 2
     assert second.stderr == "udp-mesh: UDP port 8700 is in use; end the other daemon or choose another port\n"
     assert not (tmp_path / "other.sock").exists()
+
+
+def test_applications_follow_links_and_queues(hosts: tuple[Host, Host]) -> None:
+    a, b = hosts
+    a.start()
+    b.start()
+    with connect(a) as client:
+        assert client.wait_for_peer("beta", 3.0)
+        client.watch_status(0.05)
+        first = client.wait_for_status(5.0)
+        assert first is not None
+        assert [(peer.name, peer.online) for peer in first.peers] == [("beta", True)]
+        a.ip("link", "set", "mesh0", "down")
+        client.publish("photo", bytes(50_000), to="beta")
+        assert client.wait_for_status(5.0) is not None
+        deadline_s = time.monotonic() + 5.0
+        while time.monotonic() < deadline_s:
+            status = client.wait_for_status(5.0)
+            assert status is not None
+            if status.queued == {"photo": 1} and not status.peers[0].online:
+                break
+        else:
+            pytest.fail(f"the queue did not show: {client.status}")
+        client.watch_status(0)
+        client.stats()
+        assert client.wait_for_status(0.3) is None
