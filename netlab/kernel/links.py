@@ -17,6 +17,11 @@ _IFLA_OPERSTATE = 16
 _IF_OPER_UP = 6  # RFC 2863; linux/if.h
 _CARRIER_WAIT_S = 30.0
 
+#: Messages about links in one system call. The kernel acts on 100 carriers at a time and on the next hundred a second
+#: later, unless somebody gives it the chance in between (MAX_DO_DEV_PER_LOOP in net/core/link_watch.c); kernels since
+#: 6.8 act when asked. Measured on 6.1: 380 veths raised at once are ready after 6 s, by the hundred at once.
+PER_BATCH = 100
+
 
 @dataclass(frozen=True, slots=True)
 class Link:
@@ -55,12 +60,11 @@ def wait_until_running(ends: Sequence[tuple[NetlinkSocket, int]]) -> None:
         OSError: Some still have no carrier after half a minute.
     """
     deadline = time.monotonic() + _CARRIER_WAIT_S
-    waiting = ends
-    while waiting := [(sock, index) for sock, index in waiting if not get_link(sock, index).running]:
-        if time.monotonic() > deadline:
-            ifname = get_link(*waiting[0]).ifname
-            raise OSError(f"{len(waiting)} interfaces ({ifname}, ...) have no carrier after {_CARRIER_WAIT_S:g} s")
-        time.sleep(0.0005)
+    for sock, index in ends:
+        while not (link := get_link(sock, index)).running:
+            if time.monotonic() > deadline:
+                raise OSError(f"interface {link.ifname} has no carrier after {_CARRIER_WAIT_S:g} s")
+            time.sleep(0.0005)
 
 
 def highest_index(sock: NetlinkSocket) -> int:

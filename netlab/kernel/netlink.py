@@ -66,15 +66,19 @@ class NetlinkSocket:
         """Close the socket."""
         self._sock.close()
 
-    def request(self, messages: Sequence[bytes]) -> None:
+    def request(self, messages: Sequence[bytes], *, at_most: int = _SEQUENCE_END) -> None:
         """Send ``messages`` in order, as few system calls as fit, and check that the kernel took each one.
+
+        Args:
+            messages: With their headers; numbers and the flag that asks for an answer are added here.
+            at_most: So many messages in one system call.
 
         Raises:
             NetlinkError: The first refused message. Later ones of its batch have been applied or refused as well: the
                 kernel does not stop at an error.
             OSError: Answers were lost; nobody knows what has been applied.
         """
-        for first, batch in _batches(messages, self._batch_messages, self._batch_bytes):
+        for first, batch in _batches(messages, min(at_most, self._batch_messages), self._batch_bytes):
             sequence = self._reserve(len(batch))
             self._send(batch, sequence)
             self._check_answers(first, sequence, len(batch))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from netlab.kernel import messages, offloads
 from netlab.kernel import namespaces as netns
-from netlab.kernel.links import delete_group, highest_index, wait_until_running
+from netlab.kernel.links import PER_BATCH, delete_group, highest_index, wait_until_running
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 
 _FIRST_INDEX = 50_000  # above the far ends of the nodes' veths, so that a listing stays readable
@@ -85,6 +85,6 @@ def _raise_ends(sock: NetlinkSocket, ifnames: Sequence[tuple[str, str]], indices
 
 def _request(sock: NetlinkSocket, orders: Sequence[bytes], labels: Sequence[str]) -> None:
     try:
-        sock.request(orders)
+        sock.request(orders, at_most=PER_BATCH)
     except NetlinkError as error:
         raise OSError(error.errno, f"interface {labels[error.position]}: {error.strerror}") from error

@@ -214,6 +214,6 @@ def enter(namespace_fd: int) -> None:
 
 def _request(sock: NetlinkSocket, orders: Sequence[bytes], labels: Sequence[str]) -> None:
     try:
-        sock.request(orders)
+        sock.request(orders, at_most=links.PER_BATCH)
     except NetlinkError as error:
         raise OSError(error.errno, f"{labels[error.position]}: {error.strerror}") from error

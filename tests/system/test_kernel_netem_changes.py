@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from netlab.clock import clock_here
 from netlab.engines.base import Pair
 from netlab.engines.netem import NetemEngine
 from netlab.errors import MachineError
@@ -122,6 +123,15 @@ def test_every_change_is_one_message_to_the_kernel(monkeypatch: pytest.MonkeyPat
         engine.set_outage(pairs, active=True)  # so already
         engine.set_carrier(set(range(9)), up=False)
     assert [count for count in sent if count != 1] == [72, 72, 9]
+
+
+@pytest.mark.skipif(clock_here() != "virtual", reason="a slow machine takes its time: `make test-vm`")
+@in_lab
+def test_a_large_segment_is_up_at_once() -> None:
+    """Kernels before 6.8 act on 100 carriers a second if more than that come in one message."""
+    engine = NetemEngine(plan(SegmentKind.RADIO, 20))
+    assert engine.bring_up() < 0.1
+    engine.close()
 
 
 def delete_root(ifindex: int) -> bytes:
