@@ -23,16 +23,17 @@ from udp_mesh.client_types import (
     table_of,
 )
 from udp_mesh.config import default_socket
-from udp_mesh.local_wire import FrameType, LocalProtocolError, Message
+from udp_mesh.local_wire import FrameType, Message
 
 if TYPE_CHECKING:
     import asyncio
+
+    from udp_mesh.client_stream import Stream
 
 _RECONNECT_INTERVAL_S = 0.05
 _ANSWER_WITHIN_S = 5.0
 _STORE_WITHIN_S = 1.0
 _MAX_UNSENT_BYTES = 4 * 1024 * 1024
-_READ_BYTES = 256 * 1024
 
 
 class AsyncClient:
@@ -42,7 +43,7 @@ class AsyncClient:
         self.path = socket_path or default_socket()
         self._connect_timeout_s = connect_timeout_s
         self._state = ClientState()
-        self._writer: asyncio.StreamWriter | None = None
+        self._stream: Stream | None = None
         self._task: asyncio.Task[None] | None = None
         self._changed: asyncio.Event | None = None
 
@@ -71,10 +72,10 @@ class AsyncClient:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
             self._task = None
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.close()
-            await asyncio.gather(writer.wait_closed(), return_exceptions=True)
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.close()
+            await asyncio.gather(stream.wait_closed(), return_exceptions=True)
 
     def publish(
         self,
@@ -91,12 +92,12 @@ class AsyncClient:
             WouldBlock: The daemon does not keep up.
         """
         overrides = overrides_of(options)
-        writer = self._open_writer()
-        if writer is not None and writer.transport.get_write_buffer_size() > _MAX_UNSENT_BYTES:
+        stream = self._open_stream()
+        if stream is not None and stream.unsent_bytes > _MAX_UNSENT_BYTES:
             raise WouldBlock("the daemon does not keep up")
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
-        if writer is not None:
-            writer.write(frame)
+        if stream is not None:
+            stream.write(frame)
         elif request not in self._state.stored.undecided:  # a stored one goes out with the next connection
             raise Refused("daemon_unreachable")
 
@@ -116,10 +117,10 @@ class AsyncClient:
             WouldBlock: The queue had no room within ``timeout_s``; the message may still be taken.
         """
         overrides = overrides_of(options)
-        writer = self._open_writer()
+        stream = self._open_stream()
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
-        if writer is not None:
-            writer.write(frame)
+        if stream is not None:
+            stream.write(frame)
         elif request not in self._state.stored.undecided:
             raise Refused("daemon_unreachable")
         verdicts: list[local_wire.Verdict] = []
@@ -128,7 +129,7 @@ class AsyncClient:
             verdict = self._state.take_verdict(request)
             if verdict is not None:
                 verdicts.append(verdict)
-            return verdict is not None or (self._writer is not writer and request not in self._state.stored.undecided)
+            return verdict is not None or (self._stream is not stream and request not in self._state.stored.undecided)
 
         if not await self._wait(is_decided, timeout_s):
             raise WouldBlock("the queue had no room in time")
@@ -142,16 +143,16 @@ class AsyncClient:
         """Receive messages of this topic from now on; ``*`` is every topic."""
         if topic not in self._state.topics:
             self._state.topics.append(topic)
-            if self._writer is not None:
-                self._writer.write(local_wire.frame(FrameType.SUBSCRIBE, topic.encode()))
+            if self._stream is not None:
+                self._stream.write(local_wire.frame(FrameType.SUBSCRIBE, topic.encode()))
 
     async def receive(self, timeout_s: float | None = None) -> Message | None:
         """Return the next message; None when ``timeout_s`` is over."""
         await self._wait(lambda: bool(self._state.inbox), timeout_s)
         message = self._state.next_message()
-        taken, writer = self._state.stored.taken_frame(), self._open_writer()
-        if taken and writer is not None:
-            writer.write(taken)
+        taken, stream = self._state.stored.taken_frame(), self._open_stream()
+        if taken and stream is not None:
+            stream.write(taken)
             self._state.stored.told_taken()
         return message
 
@@ -210,14 +211,14 @@ class AsyncClient:
         """Change a setting while the daemon runs; return all settings."""
         return table_of(await self._ask("config_set", key=key, value=value))
 
-    def _open_writer(self) -> asyncio.StreamWriter | None:
-        return None if self._writer is None or self._writer.is_closing() else self._writer
+    def _open_stream(self) -> Stream | None:
+        return self._stream if self._stream is not None and self._stream.is_open else None
 
-    def _connected(self) -> asyncio.StreamWriter:
-        writer = self._open_writer()
-        if writer is None:
+    def _connected(self) -> Stream:
+        stream = self._open_stream()
+        if stream is None:
             raise Refused("daemon_unreachable")
-        return writer
+        return stream
 
     async def _ask(self, method: str, **arguments: str) -> object:
         request, frame = self._state.encode_request(method, **arguments)
@@ -249,36 +250,23 @@ class AsyncClient:
         return True
 
     async def _serve(self) -> None:
-        """Read for ever; connect again whenever the daemon is gone."""
+        """Be connected for ever: connect again whenever the daemon is gone."""
         import asyncio
+
+        from udp_mesh.client_stream import Stream
 
         while True:
             try:
-                reader, writer = await asyncio.open_unix_connection(self.path)
+                stream = await Stream.connect(self.path, self._state, self._notify)
             except OSError:
                 await asyncio.sleep(_RECONNECT_INTERVAL_S)
                 continue
-            self._writer = writer
-            writer.write(self._state.connected())
-            try:
-                while data := await reader.read(_READ_BYTES):
-                    self._feed(data)
-                    self._notify()
-            except (OSError, LocalProtocolError):
-                pass
-            self._writer = None
-            writer.close()
+            self._stream = stream
+            stream.write(self._state.connected())
+            await stream.wait_closed()
+            self._stream = None
             self._state.disconnected()
             self._notify()
-
-    def _feed(self, data: bytes) -> None:
-        rest = memoryview(data)
-        while rest:
-            buffer = self._state.buffer()
-            size = min(len(rest), len(buffer))
-            buffer[:size] = rest[:size]
-            self._state.filled(size)
-            rest = rest[size:]
 
     def _notify(self) -> None:
         if self._changed is not None:

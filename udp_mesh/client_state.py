@@ -62,10 +62,12 @@ class ClientState:
         """Return where the daemon's next bytes belong."""
         return self._reader.buffer()
 
-    def filled(self, size_bytes: int) -> None:
-        """Take so many bytes of what :meth:`buffer` returned."""
-        for kind, body in self._reader.filled(size_bytes):
+    def filled(self, size_bytes: int) -> bool:
+        """Take so many bytes of what :meth:`buffer` returned; whether they completed anything."""
+        frames = self._reader.filled(size_bytes)
+        for kind, body in frames:
             self._frame(kind, body)
+        return bool(frames)
 
     def _frame(self, kind: int, body: memoryview) -> None:
         if kind == FrameType.MESSAGE:

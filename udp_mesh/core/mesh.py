@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from random import Random
 
-from udp_mesh.core.events import Event
+from udp_mesh.core.events import Event, RefusalReason
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused
 from udp_mesh.core.peer import Path, PeerStatus
@@ -141,7 +141,8 @@ class MeshCore:
                 topic, payload, to=to, policy=chosen, may_drop=may_drop, flags=flags, token=token, now=now
             )
         except Refused as refusal:
-            self._state.counters[f"refused_{refusal.reason.value}"] += 1
+            if may_drop or refusal.reason is not RefusalReason.QUEUE_FULL:  # who waits for room tries again
+                self._state.counters[f"refused_{refusal.reason.value}"] += 1
             raise
 
     def has_room(self, topic: str, size_bytes: int) -> bool:
