@@ -45,14 +45,12 @@ class Host:
         self.config = folder / f"{name}.toml"
         self.config.write_text(f'name = "{name}"\nsocket = "{self.socket}"\n{extra_config}')
         self.holder = subprocess.Popen(
-            [*privileges, "unshare", "--net", "--kill-child", "sh", "-c", "ip link set lo up; echo up; exec cat"],
+            [*privileges, "unshare", "--net", "--kill-child", "sh", "-c", "ip link set lo up; echo $$; exec cat"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
         assert self.holder.stdout is not None
-        assert self.holder.stdout.readline() == b"up\n"
-        self.inside = Path(f"/proc/{self.holder.pid}/task/{self.holder.pid}/children").read_text().split()
-        self.pid = int(self.inside[0]) if self.inside else self.holder.pid
+        self.pid = int(self.holder.stdout.readline())  # of the shell; unshare stays beside it
         self.daemon: subprocess.Popen[bytes] | None = None
 
     def ip(self, *words: str) -> None:
