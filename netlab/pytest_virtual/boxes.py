@@ -28,6 +28,7 @@ from netlab.vm.run import Box, Streams, open_box
 
 _LOG, _LOCK = "session.log", "lock"
 _POLL_S = 0.05
+_START_LIMIT_S = 120.0  # collecting the tests, before the first of them begins
 _NO_LIMIT_S = 7 * 24 * 3600.0  # of a whole box; what is limited is each test
 
 
@@ -39,7 +40,7 @@ class Order:
         argv: The pytest command.
         cwd: Its folder.
         env: Its environment.
-        patience_s: The longest silence, by the host's clock: one test, or the start of the session.
+        patience_s: The longest that one test may take, by the host's clock.
         echo: Where the tests' own output goes when it is not captured; None to keep it in a log.
     """
 
@@ -144,7 +145,10 @@ class Share:
 
     @property
     def _is_silent(self) -> bool:
-        return time.time() - max(self._opened_s, self.records.last_heard_s()) > self._order.patience_s
+        heard_s, limit_s = self.records.last_heard_s(), self._order.patience_s
+        if heard_s < self._opened_s:
+            heard_s, limit_s = self._opened_s, max(limit_s, _START_LIMIT_S)
+        return time.time() - heard_s > limit_s
 
     def _judge(self) -> None:
         """The box has ended, or must: see which tests that cost."""
