@@ -22,10 +22,10 @@ from enum import StrEnum
 from pathlib import Path
 
 from udp_mesh.core import wire
-from udp_mesh.core.settings import BROADCAST_NAME, Keep, Offline, Reliability, Settings, TopicPolicy
+from udp_mesh.core.settings import BROADCAST_NAME, MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
 NOT_YET = ("coordinate", "floor", "key", "carriers", "neighbours", "dscp", "compress")
-NOT_YET_TOPIC = ("redundancy", "compress")
+NOT_YET_TOPIC = ("compress",)
 
 
 class ConfigError(Exception):
@@ -280,6 +280,7 @@ _TOPIC_CHECKS: dict[str, Check] = {
     "offline": _one_of(Offline),
     "rate_limit_hz": _number(0, 1e6, whole=False),
     "rate_limit_bps": _number(0, 1e12, whole=False),
+    "redundancy": _number(1, MAX_REDUNDANCY, whole=True),
 }
 
 

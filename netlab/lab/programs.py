@@ -61,6 +61,7 @@ def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
             "reliability": entry.reliability,
             "keep": entry.keep,
             "offline": entry.offline,
+            "redundancy": entry.redundancy,
         }
         if entry.lifetime_s is not None:
             topic["lifetime_s"] = entry.lifetime_s

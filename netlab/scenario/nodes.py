@@ -41,7 +41,7 @@ class TopicSettings(StrictModel):
     lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
     offline: Literal["discard", "latest", "store"] | None = None
     rate_limit: RateLimit | None = None
-    redundancy: NotYet = None
+    redundancy: Annotated[int, Field(ge=1, le=8)] | None = None
 
 
 class MeshSettings(StrictModel):

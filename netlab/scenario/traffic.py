@@ -50,12 +50,6 @@ Destinations = Annotated[
 ]
 
 
-def _redundancy(value: object) -> object:
-    if isinstance(value, int) and not isinstance(value, bool) and value > 1:
-        raise ValueError(f"{value} copies are not available yet; use 1")
-    return value
-
-
 class Traffic(StrictModel):
     """One source: a message of ``size_bytes`` on ``topic`` every 1 / ``rate_hz`` seconds, for the whole duration.
 
@@ -72,7 +66,7 @@ class Traffic(StrictModel):
     keep: Literal["all", "latest"] = "all"
     lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
     offline: Literal["discard", "latest", "store"] = "discard"
-    redundancy: Annotated[Literal[1], BeforeValidator(_redundancy)] = 1
+    redundancy: Annotated[int, Field(ge=1, le=8)] = 1
     rate_limit: RateLimit | None = None
 
     @property

@@ -133,7 +133,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         ("rate: 10Hz", "rate: 10", "s.yaml:10: traffic[0].rate: 10 has no unit; write a frequency like 10Hz"),
         ("priority: 1", "priority: 256", "s.yaml:10: traffic[0].priority: '256' is impossible; it must be at most 255"),
         ("priority: 1", "priority: high", "s.yaml:10: traffic[0].priority: expected a whole number, found 'high'"),
-        ("priority: 1", "redundancy: 2", "s.yaml:10: traffic[0].redundancy: 2 copies are not available yet; use 1"),
+        ("priority: 1", "redundancy: 9", "s.yaml:10: traffic[0].redundancy: '9' is impossible; it must be at most 8"),
         ("at: 5s", "at: 20s", "s.yaml:12: events[0].at: 20s is not before the end; duration is 20s"),
         ("for: 3s", "for: 0s", "s.yaml:12: events[0].outage.for: '0s' is impossible; it must be above zero"),
         (

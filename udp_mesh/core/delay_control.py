@@ -1,4 +1,4 @@
-"""Congestion control on queueing delay: a packet or two wait at the bottleneck, whatever its rate.
+"""Congestion control on queueing delay: about a packet waits at the bottleneck, whatever its rate.
 
 Theory of operation, after FAST TCP (Wei, Jin, Low and Hegde, IEEE/ACM Transactions on Networking 14(6), 2006, eq. 6):
 once per round trip the window moves by ``GAIN`` times the difference between the bytes that should wait at the
@@ -26,7 +26,7 @@ from udp_mesh.core.congestion import AckSample
 from udp_mesh.core.rtt import RttEstimator
 from udp_mesh.core.windowed import WindowedMinimum
 
-TARGET_PACKETS = 1.0
+TARGET_PACKETS = 0.75
 UNIT_S = 0.001
 GAIN = 0.5
 PACING_GAIN = 1.25

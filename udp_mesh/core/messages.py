@@ -9,8 +9,9 @@ from udp_mesh.core import wire
 from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
 
 SortKey = tuple[int, float, int]
-_SENT, _ACKED, _WAITS_AGAIN = range(3)  # state of a fragment; one that was never sent counts as sent
+_SENT, _ACKED, _WAITS_AGAIN, _COPY_WAITS = range(4)  # state of a fragment; one that was never sent counts as sent
 _ACKED_BYTE = bytes((_ACKED,))
+_SMALL_FRAGMENTS = 4  # retransmissions of messages up to this long leave twice
 
 
 class Message:
@@ -74,6 +75,11 @@ class Message:
         """Whether it waits, as the newest of its topic, for a peer that is offline."""
         return self.policy.offline is Offline.LATEST
 
+    @property
+    def leaves_twice(self) -> bool:
+        """Whether fragments leave again before anything is known of their arrival: always, or when retransmitted."""
+        return self.fragment_count <= _SMALL_FRAGMENTS or self.policy.redundancy > 1
+
     def payloads(self, index: int, count: int) -> list[memoryview]:
         """Return what ``count`` fragments from ``index`` on carry; the last fragment must not be among them."""
         size, payload = self._rest_bytes, self.payload
@@ -117,6 +123,8 @@ class Transfer:
 
     __slots__ = (
         "_again",
+        "_copies_left",
+        "_copies_planned",
         "_last_number",
         "_state",
         "acked_count",
@@ -139,6 +147,8 @@ class Transfer:
         self._state = bytearray(message.fragment_count)
         self._again: list[int] = []
         self._last_number: dict[int, int] = {}  # of fragments sent more than once: their newest packet
+        self._copies_left: dict[int, int] = {}
+        self._copies_planned: set[int] = set()
 
     def __lt__(self, other: Transfer) -> bool:
         return self.key < other.key
@@ -160,13 +170,13 @@ class Transfer:
 
     @property
     def retransmits_next(self) -> bool:
-        """Whether the next fragment to leave has left before."""
-        return bool(self._again)
+        """Whether the next fragment to leave has left before, and no mere copy is meant."""
+        return bool(self._again) and self._state[self._again[0]] != _COPY_WAITS
 
     def peek(self) -> int | None:
         """Return the fragment to send next: lost ones first, then in order; None if nothing waits."""
         while self._again:
-            if self._state[self._again[0]] == _WAITS_AGAIN:
+            if self._state[self._again[0]] >= _WAITS_AGAIN:
                 return self._again[0]
             heapq.heappop(self._again)  # arrived meanwhile
         return self.next_index if self.next_index < self.message.fragment_count else None
@@ -212,7 +222,31 @@ class Transfer:
                 self._state[index] = _WAITS_AGAIN
                 heapq.heappush(self._again, index)
                 added = True
+                if self.message.leaves_twice:
+                    self._copies_left[index] = max(self.message.policy.redundancy - 1, 1)
         return added
+
+    def take_copy(self, index: int) -> bool:
+        """Whether a fragment that leaves now is to leave once more; counts that copy as planned."""
+        left = self._copies_left.get(index, self.message.policy.redundancy - 1)
+        if left <= 0 or index in self._copies_planned:
+            return False
+        self._copies_left[index] = left - 1
+        self._copies_planned.add(index)
+        return True
+
+    def send_copy(self, index: int) -> bool:
+        """Queue a planned copy, unless the fragment has arrived or waits already; True if it was queued."""
+        self._copies_planned.discard(index)
+        if self._state[index] != _SENT:
+            return False
+        self._state[index] = _COPY_WAITS
+        heapq.heappush(self._again, index)
+        return True
+
+    def has_copy(self, index: int) -> bool:
+        """Whether a copy of a fragment is still to leave."""
+        return index in self._copies_planned or self._state[index] == _COPY_WAITS
 
     def was_repeated_after(self, index: int, packet_number: int) -> bool:
         """Whether a newer packet than this one carries the fragment too."""
@@ -225,3 +259,5 @@ class Transfer:
         self._state = bytearray(self.message.fragment_count)
         self._again.clear()
         self._last_number.clear()
+        self._copies_left.clear()
+        self._copies_planned.clear()

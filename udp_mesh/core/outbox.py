@@ -224,8 +224,9 @@ class Outbox:
                 for index in range(first, first + run.packet_count)
                 if not transfer.was_repeated_after(index, run.packet_number + index - first)
             ]
-            if indices and not transfer.message.is_reliable:
-                self.drop(transfer, DropReason.LOST, now=now)
+            if not transfer.message.is_reliable:
+                if any(not transfer.has_copy(index) for index in indices):
+                    self.drop(transfer, DropReason.LOST, now=now)
             elif transfer.send_again(indices):
                 self._state.scheduler.push(transfer)
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 BROADCAST_NAME = "all"
 MAX_MESSAGE_BYTES = 16 * 1024 * 1024
+MAX_REDUNDANCY = 8
 
 
 class Reliability(StrEnum):
@@ -40,6 +41,7 @@ class TopicPolicy:
 
     ``rate_limit_hz``, ``rate_limit_bps``: at most so many messages, and bits of payload over all destinations, leave
     per second; 0 is no limit. What exceeds it waits.
+    ``redundancy``: how many times each fragment leaves, 1..8, some milliseconds apart, only until its arrival is known.
     """
 
     priority: int = 5
@@ -49,6 +51,7 @@ class TopicPolicy:
     offline: Offline = Offline.DISCARD
     rate_limit_hz: float = 0.0
     rate_limit_bps: float = 0.0
+    redundancy: int = 1
 
     @property
     def is_limited(self) -> bool:

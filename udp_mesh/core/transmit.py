@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from udp_mesh.core import wire
+from udp_mesh.core.copies import Copies
 from udp_mesh.core.events import FragmentRetransmitted, FragmentSent
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.outbox import Outbox
@@ -45,6 +46,7 @@ class Transmitter:
         self._state = state
         self._outbox = outbox
         self._broadcast_number = 0
+        self._copies = Copies()
 
     def datagrams(self, *, now: float) -> list[Datagram]:
         """Return what may leave now; with much to send only the first part, so that the caller can receive between."""
@@ -53,6 +55,8 @@ class Transmitter:
             self._control(peer, out, now=now)
         self._outbox.expire(now=now)
         scheduler = self._state.scheduler
+        for copied in self._copies.due(now=now):
+            scheduler.push(copied)
 
         def can_send(transfer: Transfer) -> bool:
             return self._may_send(transfer, now=now)
@@ -100,6 +104,7 @@ class Transmitter:
         times = [self._peer_timer(peer, now=now) for peer in self._state.peers.values()]
         if self._state.carriers and self._state.scheduler.head(BROADCAST_NAME) is not None:
             times.append(now)
+        times.append(self._copies.next_timer())
         return min((time for time in times if time is not None), default=None)
 
     def _peer_timer(self, peer: Peer, *, now: float) -> float | None:
@@ -159,7 +164,7 @@ class Transmitter:
         """Return how many packets of nothing but this message may leave now; less than 2 is no run."""
         session, congestion = peer.session, peer.congestion
         message, index = transfer.message, transfer.peek()
-        if index is None or index + 2 >= message.fragment_count:
+        if index is None or index + 2 >= message.fragment_count or message.leaves_twice:
             return 1
         packet_bytes = wire.HEADER_BYTES + message.fragment_bytes(index)
         window = (congestion.cwnd_bytes - session.recovery.in_flight_bytes) // packet_bytes
@@ -212,6 +217,7 @@ class Transmitter:
             frames.extend(following.message.fragment(index))
             room -= following.message.fragment_bytes(index)
             following.advance(number)
+            self._copies.note_sent(following, index, now=now)
             parts.append((following, index))
             following = scheduler.head(peer.name) if room > wire.DATA_BYTES else None
         if session.acks.has_pending and room >= _MIN_ACK_ROOM_BYTES:
@@ -288,4 +294,6 @@ class Transmitter:
         self._note_fragment(transfer, 0, number, now=now)
         out.extend(self.broadcast(b"".join(transfer.message.fragment(0))))
         transfer.advance(number)
-        self._outbox.sent_broadcast(transfer)
+        self._copies.note_sent(transfer, 0, now=now)
+        if not transfer.has_copy(0):
+            self._outbox.sent_broadcast(transfer)
