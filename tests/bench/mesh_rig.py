@@ -131,7 +131,8 @@ class Rig:
             return
         while datagrams := node.core.datagrams_to_send(now=self.now):
             for datagram in datagrams:
-                self._offer(node, datagram.data)
+                for data in datagram.segments():
+                    self._offer(node, data)
         while (event := node.core.next_event()) is not None:
             node.events.append(event)
 

@@ -20,18 +20,20 @@ waiting there, so flows share fairly. What differs from the paper:
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from udp_mesh.core.congestion import AckSample
 from udp_mesh.core.rtt import RttEstimator
 from udp_mesh.core.windowed import WindowedMinimum
 
-TARGET_PACKETS = 0.75
-UNIT_S = 0.001
+TARGET_PACKETS = 0.6
+UNIT_S = 0.00075
 GAIN = 0.5
 PACING_GAIN = 1.25
-START_GAIN = 2.0
-MAX_GROWTH = 0.25
+START_GROWTH = 1.5
+START_GAIN = START_GROWTH * math.log(START_GROWTH) / (START_GROWTH - 1)  # so it grows in an even stream, not in bursts
+MAX_GROWTH = 0.125
 CALM_ROUNDS = 3
 BASE_WINDOW_S = 10.0
 DRAIN_INTERVAL_S = 1.0
@@ -130,20 +132,21 @@ class DelayControl:
         self._rtt_s = rtt_base_s + self.queue_delay_s
 
     def _slow_start(self, sample: AckSample) -> None:
-        """Double per round trip until a queue shows; then go to what the bottleneck delivers while it has one."""
+        """Grow by half per round trip until a queue shows; then go to what the bottleneck delivers while it has one."""
         if not self._queue_seen:
             if self.queue_delay_s <= self._start_target_s():
                 if sample.is_limited:
-                    self._cwnd += sample.acked_bytes
+                    self._cwnd += (START_GROWTH - 1) * sample.acked_bytes
                 return
             self._queue_seen = True
             self._arrivals.clear()
+            self._cwnd /= START_GROWTH  # what was in flight when the packet left that now shows a queue
         elif len(self._arrivals) == _RATE_SAMPLES:
             (first_us, first_bytes), (last_us, last_bytes) = self._arrivals[0], self._arrivals[-1]
             elapsed_s = ((last_us - first_us) & 0xFFFFFFFF) / 1e6
             if elapsed_s > 0:
                 bandwidth_delay = (last_bytes - first_bytes) / elapsed_s * (self._rtt_s - self.queue_delay_s)
-                self._cwnd = min(self._cwnd, bandwidth_delay + self._target_bytes())
+                self._cwnd = min(START_GROWTH * self._cwnd, bandwidth_delay + self._target_bytes())
             self._in_slow_start = self._queue_seen = False
             self._skips_rounds = 2  # what is in flight still shows the overshoot
 
