@@ -117,7 +117,7 @@ def debian() -> Kernel:
     path = folder / "usr/bin/linux.uml"
     if not path.exists():
         raise BoxError(f"{folder}: the package {DEBIAN_PACKAGE} has no usr/bin/linux.uml")
-    modules = find_modules(folder / "usr/lib/uml/modules")
+    modules = find_modules(folder, "usr/lib/uml/modules")
     note = f"{folder.name} runs: real time only, no mac80211_hwsim"
     return Kernel(Emulator.UML, path, folder.name, modules, guests_die=False, notes=(note,))
 
@@ -133,22 +133,22 @@ def stock() -> Kernel:
     package = packages.dependency("linux-image-amd64", "linux-image-")
     folder = packages.unpacked(package)
     release = package.removeprefix("linux-image-")
-    modules = find_modules(folder / "lib/modules", folder / "usr/lib/modules")
+    modules = find_modules(folder, "lib/modules", "usr/lib/modules")
     return Kernel(Emulator.QEMU, folder / f"boot/vmlinuz-{release}", package, modules)
 
 
-def find_modules(*places: Path) -> Path:
-    """The one module tree below ``places``.
+def find_modules(package: Path, *places: str) -> Path:
+    """The one module tree in an unpacked package, below one of ``places``.
 
     Raises:
         BoxError: None that has an overlay file system, which the box cannot do without.
     """
     for place in places:
-        for folder in sorted(place.glob("*/"), reverse=True):
+        for folder in sorted((package / place).glob("*/"), reverse=True):
             if any(folder.glob("kernel/fs/overlayfs/overlay.ko*")):
                 return folder
-    looked = ", ".join(str(place) for place in places)
+    looked = " or ".join(places)
     raise BoxError(
         f"this kernel comes without modules (no overlay.ko below {looked}), and a box needs overlayfs. "
-        f"Remove {places[0]} so that the package is fetched again, or {BUILD_HINT}."
+        f"Remove {package} so that it is fetched again."
     )
