@@ -184,9 +184,9 @@ class AsyncClient:
     def watch_status(self, interval_s: float = 0.2) -> None:
         """Have the daemon send the state of links and queues now and at every interval; 0 ends it."""
         self._state.status_interval_s = interval_s
-        writer = self._open_writer()
-        if writer is not None:
-            writer.write(local_wire.encode_watch(interval_s))
+        stream = self._open_stream()
+        if stream is not None:
+            stream.write(local_wire.encode_watch(interval_s))
 
     @property
     def status(self) -> Status | None:

@@ -123,15 +123,27 @@ class Net:
             heapq.heappop(self._calls)[2]()
             touched.update(self.cores)
         while self._in_air and self._in_air[0][0] <= self.now:
-            _at, _order, name, data, path = heapq.heappop(self._in_air)
+            name, data, segment_bytes, path = self._next_arrival()
             if name in self.cores:
-                self.cores[name].receive_datagram(data, path, now=self.now)
+                self.cores[name].receive_burst(data, segment_bytes, path, now=self.now)
                 touched.add(name)
         for name, core in self.cores.items():
             if core.next_timer() <= self.now:
                 core.handle_timer(now=self.now)
                 touched.add(name)
         self._settle(touched)
+
+    def _next_arrival(self) -> tuple[str, bytes, int, Path]:
+        """Return what arrives next; from one sender together and of one length, it is one burst, as with UDP_GRO."""
+        at_s, _order, name, data, path = heapq.heappop(self._in_air)
+        burst, size = [data], len(data)
+        while self._in_air and len(burst[-1]) == size:
+            next_s, _order, receiver, following, sender = self._in_air[0]
+            if (next_s, receiver, sender) != (at_s, name, path) or len(following) > size:
+                break
+            burst.append(following)
+            heapq.heappop(self._in_air)
+        return name, b"".join(burst), size, path
 
     def _settle(self, names: set[str] | None = None) -> None:
         for name in sorted(self.cores if names is None else names):

@@ -38,3 +38,16 @@ def test_everything_below_the_floor_counts_as_held(numbers: list[int], floor: in
     ranges.raise_floor(floor)
     assert {n for n in range(80) if n in ranges} == set(range(floor)) | set(numbers)
     assert all(first >= floor for first, _last in ranges.newest(100))
+
+
+@given(st.lists(st.tuples(st.integers(0, 60), st.integers(0, 9)), max_size=30), st.integers(0, 40))
+def test_ranges_are_added_as_their_numbers_would_be(ranges: list[tuple[int, int]], floor: int) -> None:
+    whole, singly = RangeSet(max_ranges=4), RangeSet(max_ranges=4)
+    for first, more in ranges:
+        whole.raise_floor(floor)
+        singly.raise_floor(floor)
+        whole.add_range(first, first + more)
+        for number in range(first, first + more + 1):
+            singly.add(number)
+        assert whole.newest(10) == singly.newest(10)
+        assert (whole.floor, whole.highest) == (singly.floor, singly.highest)

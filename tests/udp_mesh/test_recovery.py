@@ -110,6 +110,31 @@ def test_probe_timeouts_on_slow_paths_are_never_below_what_the_path_takes() -> N
     assert all(rtt.probe_timeout_s(expirations=count) == base_s for count in range(5))
 
 
+def test_only_a_part_of_a_run_is_condemned() -> None:
+    recovery = Recovery(rtt=RttEstimator(), now=0.0)
+    for number, count in ((0, 6), (6, 1)):
+        assert recovery.take_packet_number(count) == number
+        recovery.on_sent(number, count=count, size_bytes=100, priority=1, parts=(), now=0.001)
+    outcome = recovery.on_ack(ack((6, 6)), now=0.041)
+    assert outcome is not None
+    assert [(run.packet_number, run.last) for run in outcome.lost] == [(0, 3)]  # each of them with three later ones
+    assert (outcome.lost_packets, len(recovery), recovery.in_flight_bytes) == (4, 2, 200)
+    assert recovery.next_timer() == pytest.approx(0.001 + 0.040 + 0.010)
+    late = recovery.detect_lost(now=0.052)
+    assert [(run.packet_number, run.last) for run in late] == [(4, 5)]
+
+
+def test_one_packet_missing_from_a_run_divides_it() -> None:
+    recovery = Recovery(rtt=RttEstimator(), now=0.0)
+    recovery.take_packet_number(9)
+    recovery.on_sent(0, count=9, size_bytes=100, priority=1, parts=(), now=0.0)
+    outcome = recovery.on_ack(ack((7, 8), (5, 5), (0, 3)), now=0.04)
+    assert outcome is not None
+    assert {n for run in outcome.acked for n in range(run.packet_number, run.last + 1)} == {0, 1, 2, 3, 5, 7, 8}
+    assert [(run.packet_number, run.last) for run in outcome.lost] == [(4, 4)]
+    assert len(recovery) == 1  # packet 6: fewer than three later ones
+
+
 class Twins:
     """The same packets twice: in runs, and each on its own. Whatever happens, both must say the same."""
 
