@@ -50,6 +50,11 @@ def _parser() -> argparse.ArgumentParser:
     publish.add_argument("payload", nargs="?", help="text; without it, standard input as it is")
     publish.add_argument("--to", default="all", help="a node's name, or all (default)")
     publish.add_argument("--priority", type=int, help="0..255, lower is more urgent")
+    publish.add_argument("--offline", choices=["discard", "latest", "store"], help="if the node is absent")
+    ask = commands.add_parser("ask", help="send a question to one node and print the answer")
+    ask.add_argument("topic")
+    ask.add_argument("payload", nargs="?", default="")
+    ask.add_argument("--to", required=True, help="a node's name")
     subscribe = commands.add_parser("sub", help="print messages; * is every topic")
     subscribe.add_argument("topic")
     subscribe.add_argument("--count", type=int, default=0, help="end after so many messages")
@@ -61,6 +66,8 @@ def _parser() -> argparse.ArgumentParser:
     top = commands.add_parser("top", help="show peers and queues, again and again")
     top.add_argument("--interval", type=float, default=1.0, metavar="S")
     top.add_argument("--count", type=int, default=0, help="end after so many screens")
+    metrics = commands.add_parser("metrics", help="print metrics for Prometheus, or serve them")
+    metrics.add_argument("--listen", metavar="HOST:PORT", help="serve /metrics there until ended, as 127.0.0.1:9870")
     config = commands.add_parser("config", help="read or change settings while the daemon runs")
     config.add_argument("action", choices=["get", "set"])
     config.add_argument("key", nargs="?", help="like window, or topics.telemetry.priority")
@@ -73,8 +80,40 @@ def _publish(client: Client, arguments: argparse.Namespace) -> int:
     if arguments.to != "all":
         client.wait_for_peer(arguments.to, 0.0)
     client.publish_wait(
-        arguments.topic, payload, to=arguments.to, priority=arguments.priority, timeout_s=arguments.timeout
+        arguments.topic,
+        payload,
+        to=arguments.to,
+        priority=arguments.priority,
+        offline=arguments.offline,
+        timeout_s=arguments.timeout,
     )
+    return 0
+
+
+def _ask(client: Client, arguments: argparse.Namespace) -> int:
+    client.wait_for_peer(arguments.to, 0.0)
+    answer = client.request(arguments.topic, arguments.payload.encode(), to=arguments.to, timeout_s=arguments.timeout)
+    sys.stdout.buffer.write(answer)
+    sys.stdout.flush()
+    return 0
+
+
+def _metrics(client: Client, arguments: argparse.Namespace) -> int:
+    from udp_mesh.metrics import render
+
+    if arguments.listen is None:
+        print(render(client.stats()), end="")
+        return 0
+    from udp_mesh.metrics_server import MetricsServer
+
+    host, _, port = arguments.listen.rpartition(":")
+    try:
+        with MetricsServer((host, int(port)), client) as server:
+            print(f"metrics at http://{host}:{server.server_port}/metrics", flush=True)
+            server.serve_forever()
+    except (OSError, ValueError, OverflowError) as error:
+        print(f"udp-mesh: cannot listen at {arguments.listen}: {error}", file=sys.stderr)
+        return 2
     return 0
 
 
@@ -156,6 +195,8 @@ def _config(client: Client, arguments: argparse.Namespace) -> int:
 
 _COMMANDS = {
     "pub": _publish,
+    "ask": _ask,
+    "metrics": _metrics,
     "sub": _subscribe,
     "peers": _peers,
     "stats": _stats,

@@ -17,9 +17,10 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Unpack
 
-from udp_mesh import local_wire
+from udp_mesh import local_features, local_wire
 from udp_mesh.client_async import AsyncClient
 from udp_mesh.client_link import Link
+from udp_mesh.client_questions import Questions
 from udp_mesh.client_state import ClientState
 from udp_mesh.client_types import (
     ClientError,
@@ -30,9 +31,7 @@ from udp_mesh.client_types import (
     Status,
     WouldBlock,
     overrides_of,
-    peers_of,
     result_of,
-    table_of,
 )
 from udp_mesh.config import default_socket
 from udp_mesh.local_wire import FrameType, Message
@@ -54,7 +53,7 @@ _ANSWER_WITHIN_S = 5.0
 _STORE_WITHIN_S = 1.0
 
 
-class Client:
+class Client(Questions):
     """A connection to this node's daemon. Not for use by several threads at once."""
 
     def __init__(self, socket_path: str | None = None, *, connect_timeout_s: float = 5.0) -> None:
@@ -144,6 +143,34 @@ class Client:
             raise Refused(verdicts[0].reason)
         return verdicts[0].message_id
 
+    def request(
+        self, topic: str, payload: bytes, *, to: str, timeout_s: float = 5.0, **options: Unpack[PublishOptions]
+    ) -> bytes:
+        """Ask the applications of one node and return the first answer; see :meth:`reply`.
+
+        Raises:
+            Refused: The question was not taken; ``reason`` says why.
+            RequestFailed: No answer within ``timeout_s``, nobody there has subscribed to the topic, or it was lost.
+        """
+        overrides = overrides_of({"lifetime_s": timeout_s, **options, "offline": "discard"})
+        self._link.pump(0.0)
+        request, frame = self._state.encode_ask(topic, payload, to, overrides)
+        self._link.wait(lambda: self._link.try_send(frame), timeout_s)
+        self._link.wait(lambda: self._state.is_answered(request), timeout_s)
+        return self._state.take_reply(request)
+
+    def reply(self, question: Message, payload: bytes) -> None:
+        """Answer a received message whose ``reply_to`` is not 0; only the first answer to it counts.
+
+        Raises:
+            ValueError: The message is no question.
+            WouldBlock: The daemon does not keep up.
+            Refused: There is no daemon.
+        """
+        if not question.reply_to:
+            raise ValueError("this message expects no answer")
+        self._link.send(local_features.encode_reply(question.reply_to, payload))
+
     def subscribe(self, topic: str) -> None:
         """Receive messages of this topic from now on; ``*`` is every topic."""
         if topic not in self._state.topics:
@@ -184,10 +211,6 @@ class Client:
 
     # -- questions
 
-    def peers(self) -> list[PeerInfo]:
-        """Return every node ever heard by the daemon."""
-        return peers_of(self._ask("peers"))
-
     def wait_for_peer(self, name: str, timeout_s: float) -> bool:
         """Wait until a peer is online; False if it was not within ``timeout_s``."""
         return self._link.wait(lambda: self._state.is_online(name), timeout_s)
@@ -198,7 +221,7 @@ class Client:
         It appears in :attr:`status` whenever this client reads: while it receives, waits or asks.
         """
         self._state.status_interval_s = interval_s
-        self._command(local_wire.encode_watch(interval_s))
+        self._command(local_features.encode_watch(interval_s))
 
     @property
     def status(self) -> Status | None:
@@ -210,22 +233,6 @@ class Client:
         before = self._state.status
         self._link.wait(lambda: self._state.status is not before, timeout_s)
         return None if self._state.status is before else self._state.status
-
-    def stats(self) -> dict[str, object]:
-        """Return the daemon's counters, queue depths and peers."""
-        return table_of(self._ask("stats"))
-
-    def config_get(self) -> dict[str, object]:
-        """Return the daemon's settings."""
-        return table_of(self._ask("config_get"))
-
-    def config_set(self, key: str, value: str) -> dict[str, object]:
-        """Change a setting while the daemon runs; return all settings.
-
-        Raises:
-            RequestFailed: The key cannot be changed, or the value is wrong.
-        """
-        return table_of(self._ask("config_set", key=key, value=value))
 
     # -- connection
 

@@ -7,20 +7,18 @@ from collections.abc import AsyncIterator, Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Unpack
 
-from udp_mesh import local_wire
+from udp_mesh import local_features, local_wire
+from udp_mesh.client_questions import AsyncQuestions
 from udp_mesh.client_state import ClientState
 from udp_mesh.client_types import (
     ClientError,
-    PeerInfo,
     PublishOptions,
     Refused,
     RequestFailed,
     Status,
     WouldBlock,
     overrides_of,
-    peers_of,
     result_of,
-    table_of,
 )
 from udp_mesh.config import default_socket
 from udp_mesh.local_wire import FrameType, Message
@@ -36,7 +34,7 @@ _STORE_WITHIN_S = 1.0
 _MAX_UNSENT_BYTES = 4 * 1024 * 1024
 
 
-class AsyncClient:
+class AsyncClient(AsyncQuestions):
     """A connection to this node's daemon: ``async with AsyncClient() as mesh: ...``."""
 
     def __init__(self, socket_path: str | None = None, *, connect_timeout_s: float = 5.0) -> None:
@@ -139,6 +137,33 @@ class AsyncClient:
             raise Refused(verdicts[0].reason)
         return verdicts[0].message_id
 
+    async def request(
+        self, topic: str, payload: bytes, *, to: str, timeout_s: float = 5.0, **options: Unpack[PublishOptions]
+    ) -> bytes:
+        """Ask the applications of one node; see :meth:`udp_mesh.client.Client.request`.
+
+        Raises:
+            Refused: The question was not taken; ``reason`` says why.
+            RequestFailed: No answer within ``timeout_s``, nobody there has subscribed to the topic, or it was lost.
+        """
+        overrides = overrides_of({"lifetime_s": timeout_s, **options, "offline": "discard"})
+        stream = self._connected()
+        request, frame = self._state.encode_ask(topic, payload, to, overrides)
+        stream.write(frame)
+        await self._wait(lambda: self._state.is_answered(request), timeout_s)
+        return self._state.take_reply(request)
+
+    def reply(self, question: Message, payload: bytes) -> None:
+        """Answer a received message whose ``reply_to`` is not 0; only the first answer to it counts.
+
+        Raises:
+            ValueError: The message is no question.
+            Refused: There is no daemon.
+        """
+        if not question.reply_to:
+            raise ValueError("this message expects no answer")
+        self._connected().write(local_features.encode_reply(question.reply_to, payload))
+
     async def subscribe(self, topic: str) -> None:
         """Receive messages of this topic from now on; ``*`` is every topic."""
         if topic not in self._state.topics:
@@ -173,10 +198,6 @@ class AsyncClient:
         """Refused messages by reason, those included that the daemon refused after ``publish`` returned."""
         return self._state.refusals
 
-    async def peers(self) -> list[PeerInfo]:
-        """Return every node ever heard by the daemon."""
-        return peers_of(await self._ask("peers"))
-
     async def wait_for_peer(self, name: str, timeout_s: float) -> bool:
         """Wait until a peer is online; False if it was not within ``timeout_s``."""
         return await self._wait(lambda: self._state.is_online(name), timeout_s)
@@ -186,7 +207,7 @@ class AsyncClient:
         self._state.status_interval_s = interval_s
         stream = self._open_stream()
         if stream is not None:
-            stream.write(local_wire.encode_watch(interval_s))
+            stream.write(local_features.encode_watch(interval_s))
 
     @property
     def status(self) -> Status | None:
@@ -198,18 +219,6 @@ class AsyncClient:
         before = self._state.status
         await self._wait(lambda: self._state.status is not before, timeout_s)
         return None if self._state.status is before else self._state.status
-
-    async def stats(self) -> dict[str, object]:
-        """Return the daemon's counters, queue depths and peers."""
-        return table_of(await self._ask("stats"))
-
-    async def config_get(self) -> dict[str, object]:
-        """Return the daemon's settings."""
-        return table_of(await self._ask("config_get"))
-
-    async def config_set(self, key: str, value: str) -> dict[str, object]:
-        """Change a setting while the daemon runs; return all settings."""
-        return table_of(await self._ask("config_set", key=key, value=value))
 
     def _open_stream(self) -> Stream | None:
         return self._stream if self._stream is not None and self._stream.is_open else None

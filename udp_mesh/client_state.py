@@ -6,12 +6,14 @@ import json
 import secrets
 from collections import Counter, deque
 
-from udp_mesh import local_wire
+from udp_mesh import local_features, local_wire
 from udp_mesh.client_stored import StoredState
-from udp_mesh.client_types import PeerInfo, Refused, Status, WouldBlock, peers_of
+from udp_mesh.client_types import PeerInfo, Refused, RequestFailed, Status, WouldBlock, peers_of
 from udp_mesh.core.envelope import DurableId
+from udp_mesh.core.envelope import Status as AnswerStatus
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Offline
 from udp_mesh.frame_reader import FrameReader
+from udp_mesh.local_features import Answer
 from udp_mesh.local_wire import FrameType, Message, Overrides, Publish, Verdict
 
 MAX_INBOX_MESSAGES = 65_536
@@ -34,6 +36,7 @@ class ClientState:
         self._peers: dict[str, PeerInfo] = {}
         self._offline: dict[str, Offline] = {}
         self._verdicts: dict[int, Verdict | None] = {}
+        self._answered: dict[int, Answer | None] = {}
         self._answers: dict[int, dict[str, object]] = {}
         self._next_request = 0
         self._reader = FrameReader()
@@ -47,14 +50,16 @@ class ClientState:
         self._reader = FrameReader()
         subscriptions = [local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics]
         if self.status_interval_s:
-            subscriptions.append(local_wire.encode_watch(self.status_interval_s))
-        return b"".join((local_wire.encode_identity(self.client), *subscriptions, *self.stored.undecided.values()))
+            subscriptions.append(local_features.encode_watch(self.status_interval_s))
+        return b"".join((local_features.encode_identity(self.client), *subscriptions, *self.stored.undecided.values()))
 
     def disconnected(self) -> None:
         """Forget what only held for the lost connection."""
         for request in [number for number in self._verdicts if number not in self.stored.undecided]:
             del self._verdicts[request]
         self._answers.clear()
+        for request in self._answered:
+            self._answered[request] = Answer(request, local_features.FAILED, b"daemon_unreachable")
         self._peers.clear()
         self.is_greeted = False
 
@@ -73,9 +78,15 @@ class ClientState:
         if kind == FrameType.MESSAGE:
             self._keep(None, local_wire.decode_message(body))
         elif kind == FrameType.STORED_MESSAGE:
-            durable_id, message = local_wire.decode_stored_message(body)
+            durable_id, message = local_features.decode_stored_message(body)
             if self.stored.receive(durable_id):
                 self._keep(durable_id, message)
+        elif kind == FrameType.QUESTION:
+            self._keep(None, local_features.decode_question(body))
+        elif kind == FrameType.ANSWERED:
+            answer_to_question = local_features.decode_answer(body)
+            if answer_to_question.request in self._answered:
+                self._answered[answer_to_question.request] = answer_to_question
         elif kind == FrameType.VERDICT:
             self._verdict(local_wire.decode_verdict(body))
         elif kind == FrameType.LOST:
@@ -164,6 +175,37 @@ class ClientState:
         if reason:
             self.refusals[reason] += 1
             raise Refused(reason)
+
+    def encode_ask(self, topic: str, payload: bytes, to: str, overrides: Overrides) -> tuple[int, bytes]:
+        """Return a request number and the frame of a question to another node's applications.
+
+        Raises:
+            Refused: It is clear already that the daemon would not take it.
+        """
+        self._check(topic, payload, to, overrides)
+        self._next_request = (self._next_request + 1) & 0xFFFFFFFF
+        question = Publish(self._next_request, topic, payload, to, overrides, wants_verdict=False, waits=False)
+        self._answered[question.request] = None
+        return question.request, local_features.encode_ask(question)
+
+    def is_answered(self, request: int) -> bool:
+        """Whether there is an answer to a question, or the word that there will be none."""
+        return self._answered.get(request) is not None
+
+    def take_reply(self, request: int) -> bytes:
+        """Return the answer to a question, and forget the question.
+
+        Raises:
+            RequestFailed: There is none; the text says why.
+        """
+        answer = self._answered.pop(request, None)
+        if answer is None:
+            raise RequestFailed("no answer in time")
+        if answer.status == AnswerStatus.NOBODY:
+            raise RequestFailed("nobody there has subscribed to the topic")
+        if answer.status != AnswerStatus.ANSWERED:
+            raise RequestFailed(answer.payload.decode("utf-8", "replace"))
+        return answer.payload
 
     def encode_request(self, method: str, **arguments: str) -> tuple[int, bytes]:
         """Return a request number and the frame of a question."""

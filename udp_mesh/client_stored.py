@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from udp_mesh import local_wire
+from udp_mesh import local_features
 from udp_mesh.core.envelope import DurableId
 
 MAX_UNDECIDED = 512  # stored publishes without a verdict; the daemon remembers twice as many
@@ -51,7 +51,7 @@ class StoredState:
 
     def taken_frame(self) -> bytes:
         """Return what tells the daemon which messages the application has; empty if there is nothing to tell."""
-        return local_wire.encode_taken(self._taken) if self._taken else b""
+        return local_features.encode_taken(self._taken) if self._taken else b""
 
     def told_taken(self) -> None:
         """Note that the frame was sent. Should it be lost, the daemon repeats the messages and we the answer."""

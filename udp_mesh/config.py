@@ -16,16 +16,16 @@ from __future__ import annotations
 import os
 import socket
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from enum import StrEnum
 from pathlib import Path
 
+from udp_mesh import config_checks
 from udp_mesh.core import wire
-from udp_mesh.core.settings import BROADCAST_NAME, MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
+from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("coordinate", "floor", "key", "carriers", "neighbours", "dscp", "compress")
-NOT_YET_TOPIC = ("compress",)
+NOT_YET = ("coordinate", "floor", "key", "carriers", "neighbours", "dscp")
+NOT_YET_TOPIC: tuple[str, ...] = ()
 
 
 class ConfigError(Exception):
@@ -186,7 +186,7 @@ def _topic(name: str, entry: object, source: str, problems: list[str], base: Top
 
 def _values(
     table: Mapping[str, object],
-    checks: Mapping[str, Check],
+    checks: Mapping[str, config_checks.Check],
     not_yet: tuple[str, ...],
     *,
     prefix: str,
@@ -208,79 +208,31 @@ def _values(
     return values
 
 
-Check = Callable[[object], object]
-
-
-def _number(low: float, high: float, *, whole: bool) -> Check:
-    def check(value: object) -> object:
-        kinds = (int,) if whole else (int, float)
-        if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
-            raise ValueError(f"has to be a {'whole ' if whole else ''}number from {low:g} to {high:g}")
-        return value if whole else float(value)
-
-    return check
-
-
-def _boolean(value: object) -> object:
-    if not isinstance(value, bool):
-        raise ValueError("has to be true or false")
-    return value
-
-
-def _text(value: object) -> object:
-    if not isinstance(value, str):
-        raise ValueError("has to be a text")
-    return value
-
-
-def _name(value: object) -> object:
-    if not isinstance(value, str) or not 0 < len(value.encode()) <= wire.MAX_NAME_BYTES or not value.isprintable():
-        raise ValueError(f"has to be a text of 1..{wire.MAX_NAME_BYTES} printable bytes")
-    if value == BROADCAST_NAME:
-        raise ValueError(f'cannot be "{BROADCAST_NAME}", which means every node')
-    return value
-
-
-def _interfaces(value: object) -> object:
-    if not isinstance(value, list) or not all(isinstance(name, str) and 0 < len(name) < 16 for name in value):
-        raise ValueError('has to be a list of interface names like ["wlan0"]')
-    return tuple(value)
-
-
-def _one_of(kind: type[StrEnum]) -> Check:
-    def check(value: object) -> object:
-        choices = [member.value for member in kind]
-        if value not in choices:
-            raise ValueError(f"has to be one of {', '.join(choices)}")
-        return kind(str(value))
-
-    return check
-
-
-_CHECKS: dict[str, Check] = {
-    "name": _name,
-    "port": _number(1, 65535, whole=True),
-    "interfaces": _interfaces,
-    "payload_bytes": _number(256, 65000, whole=True),
-    "window": _number(0, 100_000, whole=True),
-    "prioritise": _boolean,
-    "probe": _boolean,
-    "beacon_interval_s": _number(0.05, 60, whole=False),
-    "socket": _text,
-    "queue_bytes": _number(65536, 1 << 30, whole=True),
-    "store": _text,
-    "store_bytes": _number(65536, 1 << 40, whole=True),
-    "store_age_s": _number(1, 2_592_000, whole=False),
+_CHECKS: dict[str, config_checks.Check] = {
+    "name": config_checks.name,
+    "port": config_checks.number(1, 65535, whole=True),
+    "interfaces": config_checks.interfaces,
+    "payload_bytes": config_checks.number(256, 65000, whole=True),
+    "window": config_checks.number(0, 100_000, whole=True),
+    "prioritise": config_checks.boolean,
+    "probe": config_checks.boolean,
+    "beacon_interval_s": config_checks.number(0.05, 60, whole=False),
+    "socket": config_checks.text,
+    "queue_bytes": config_checks.number(65536, 1 << 30, whole=True),
+    "store": config_checks.text,
+    "store_bytes": config_checks.number(65536, 1 << 40, whole=True),
+    "store_age_s": config_checks.number(1, 2_592_000, whole=False),
 }
-_TOPIC_CHECKS: dict[str, Check] = {
-    "priority": _number(0, 255, whole=True),
-    "reliability": _one_of(Reliability),
-    "keep": _one_of(Keep),
-    "lifetime_s": _number(0.001, 1e9, whole=False),
-    "offline": _one_of(Offline),
-    "rate_limit_hz": _number(0, 1e6, whole=False),
-    "rate_limit_bps": _number(0, 1e12, whole=False),
-    "redundancy": _number(1, MAX_REDUNDANCY, whole=True),
+_TOPIC_CHECKS: dict[str, config_checks.Check] = {
+    "priority": config_checks.number(0, 255, whole=True),
+    "reliability": config_checks.one_of(Reliability),
+    "keep": config_checks.one_of(Keep),
+    "lifetime_s": config_checks.number(0.001, 1e9, whole=False),
+    "offline": config_checks.one_of(Offline),
+    "rate_limit_hz": config_checks.number(0, 1e6, whole=False),
+    "rate_limit_bps": config_checks.number(0, 1e12, whole=False),
+    "redundancy": config_checks.number(1, MAX_REDUNDANCY, whole=True),
+    "compress": config_checks.compress,
 }
 
 

@@ -8,12 +8,10 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TypeVar
 
-from udp_mesh.core.envelope import DurableId, decode_ids, encode_ids
 from udp_mesh.core.settings import MAX_MESSAGE_BYTES, Keep, Offline, Reliability, TopicPolicy
 
 MAX_FRAME_BYTES = MAX_MESSAGE_BYTES + 4096
@@ -23,9 +21,6 @@ _PUBLISH = struct.Struct("!IBhBBBdBB")
 _MESSAGE = struct.Struct("!BQBB")
 _VERDICT = struct.Struct("!IQ")
 _LOST = struct.Struct("!I")
-_IDENTITY = struct.Struct("!Q")
-_DURABLE = struct.Struct("!QQ")
-_WATCH = struct.Struct("!I")  # milliseconds
 _UNSET = 255
 FLAG_WANT_VERDICT = 1
 FLAG_WAIT = 2
@@ -41,6 +36,8 @@ class FrameType(IntEnum):
     IDENTIFY = 5
     TAKEN = 6
     WATCH = 7
+    ASK = 8
+    ANSWER = 9
     WELCOME = 64
     MESSAGE = 65
     PEERS = 66
@@ -49,6 +46,8 @@ class FrameType(IntEnum):
     RESPONSE = 69
     STORED_MESSAGE = 70
     STATUS = 71
+    QUESTION = 72
+    ANSWERED = 73
 
 
 class LocalProtocolError(Exception):
@@ -93,13 +92,17 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message that this node has received. ``received_ns``: CLOCK_REALTIME at the daemon."""
+    """A message that this node has received. ``received_ns``: CLOCK_REALTIME at the daemon.
+
+    ``reply_to``: the number of a question that expects an answer, 0 for any other message.
+    """
 
     topic: str
     payload: bytes
     source: str
     priority: int
     received_ns: int
+    reply_to: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,59 +240,3 @@ def decode_lost(body: memoryview) -> int:
     """Decode the body of a lost frame."""
     (count,) = _LOST.unpack_from(body)
     return int(count)
-
-
-def encode_identity(client: int) -> bytes:
-    """Return the frame that names an application across its connections: a random number of 64 bits."""
-    return frame(FrameType.IDENTIFY, _IDENTITY.pack(client))
-
-
-def decode_identity(body: memoryview) -> int:
-    """Decode the body of an identity frame.
-
-    Raises:
-        LocalProtocolError: It is damaged.
-    """
-    if len(body) != _IDENTITY.size:
-        raise LocalProtocolError("an identity has 8 bytes")
-    (client,) = _IDENTITY.unpack(body)
-    return int(client)
-
-
-def encode_watch(interval_s: float) -> bytes:
-    """Return the frame that asks for the state of links and queues every so often; 0 ends it."""
-    return frame(FrameType.WATCH, _WATCH.pack(round(interval_s * 1000)))
-
-
-def decode_watch(body: memoryview) -> float:
-    """Decode the body of a watch frame: an interval in seconds.
-
-    Raises:
-        LocalProtocolError: It is damaged.
-    """
-    if len(body) != _WATCH.size:
-        raise LocalProtocolError("a watch frame has 4 bytes")
-    return float(_WATCH.unpack(body)[0]) / 1000
-
-
-def encode_stored_message(durable_id: DurableId, message: Message) -> bytes:
-    """Return the frame of a message that the application has to take."""
-    source, topic = message.source.encode(), message.topic.encode()
-    head = _MESSAGE.pack(message.priority, message.received_ns, len(source), len(topic))
-    body = b"".join((_DURABLE.pack(*durable_id), head, source, topic, message.payload))
-    return frame(FrameType.STORED_MESSAGE, body)
-
-
-def decode_stored_message(body: memoryview) -> tuple[DurableId, Message]:
-    """Decode the body of a stored message's frame."""
-    return DurableId(*_DURABLE.unpack_from(body)), decode_message(body[_DURABLE.size :])
-
-
-def encode_taken(ids: Sequence[DurableId]) -> bytes:
-    """Return the frame that says: the application has these stored messages."""
-    return frame(FrameType.TAKEN, encode_ids(ids))
-
-
-def decode_taken(body: memoryview) -> list[DurableId]:
-    """Decode the body of a taken frame; an incomplete id at its end is left out."""
-    return decode_ids(body)

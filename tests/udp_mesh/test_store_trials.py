@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from udp_mesh import local_wire
+from udp_mesh import local_features, local_wire
 from udp_mesh.client_state import ClientState
 from udp_mesh.client_types import PublishOptions, overrides_of
 from udp_mesh.config import Config
@@ -182,7 +182,7 @@ class Station:
             assert policy.offline is Offline.STORE
             self.durable.publish(connection, publish, policy)
         elif kind == local_wire.FrameType.TAKEN:
-            for durable_id in local_wire.decode_taken(body):
+            for durable_id in local_features.decode_taken(body):
                 self.durable.inbox.take(connection.number, durable_id)
 
     def turn(self) -> None:

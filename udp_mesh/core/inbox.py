@@ -31,7 +31,6 @@ class Kept:
     size_bytes: int
     received_ns: int
     deadline_s: float
-    original_bytes: int | None = None
     payload: bytes | None = None
     is_safe: bool = False
     is_taken: bool = False

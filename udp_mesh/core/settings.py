@@ -40,7 +40,7 @@ class TopicPolicy:
     """How messages of one topic travel. ``priority``: 0..255, lower is more urgent. ``lifetime_s``: None is forever.
 
     ``rate_limit_hz``, ``rate_limit_bps``: at most so many messages, and bits of payload over all destinations, leave
-    per second; 0 is no limit. What exceeds it waits.
+    per second; 0 is no limit. What exceeds it waits. ``compress``: zstd, by the owner of the core.
     ``redundancy``: how many times each fragment leaves, 1..8, some milliseconds apart, only until its arrival is known.
     """
 
@@ -52,6 +52,7 @@ class TopicPolicy:
     rate_limit_hz: float = 0.0
     rate_limit_bps: float = 0.0
     redundancy: int = 1
+    compress: bool = False
 
     @property
     def is_limited(self) -> bool:

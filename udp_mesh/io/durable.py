@@ -163,9 +163,9 @@ class Durable:
 
     def on_event(self, event: Event) -> None:
         """Follow what the transport says of our messages and of peers."""
-        if isinstance(event, MessageAcked) and event.token:
+        if isinstance(event, MessageAcked) and event.token > 0:
             self.custody.on_acked(event.token, now=event.now)
-        elif isinstance(event, MessageDropped) and event.token:
+        elif isinstance(event, MessageDropped) and event.token > 0:
             self.custody.on_dropped(event.token, event.reason, now=event.now)
         elif isinstance(event, PeerUp):
             if self._outgoing is not None:

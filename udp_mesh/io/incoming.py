@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
-from udp_mesh import local_wire
+from udp_mesh import local_features, local_wire
 from udp_mesh.core.envelope import DurableId, Envelope
 from udp_mesh.core.events import MessageDelivered
 from udp_mesh.core.inbox import Inbox, Kept
 from udp_mesh.core.mesh import MeshCore
-from udp_mesh.io import store_rows
+from udp_mesh.io import compression, store_rows
 from udp_mesh.io.confirmations import Confirmations
 from udp_mesh.io.outgoing import payload_of
 from udp_mesh.io.server import ALL_TOPICS, Connection
@@ -64,6 +64,12 @@ class Incoming:
             self.counters["stored_too_many"] += 1
             return
         payload = bytes(body)
+        if envelope.original_bytes is not None:
+            unpacked = compression.decompress(body, envelope.original_bytes)
+            if unpacked is None:
+                self.counters["bad_compression"] += 1  # not confirmed: it ends at its sender, by age
+                return
+            payload = unpacked
         kept = Kept(
             durable_id,
             event.source,
@@ -72,7 +78,6 @@ class Incoming:
             len(payload),
             time.time_ns(),
             event.now + self._inbox.age_s,
-            envelope.original_bytes,
             payload,
         )
         self._inbox.add(kept)
@@ -106,7 +111,7 @@ class Incoming:
             if kept.payload is None:
                 self._fetch_kept(kept)
                 return
-            connection.send(local_wire.encode_stored_message(kept.durable_id, _message(kept)))
+            connection.send(local_features.encode_stored_message(kept.durable_id, _message(kept)))
             self._inbox.give(connection.number, kept)
 
     def _fetch_kept(self, kept: Kept) -> None:

@@ -11,13 +11,15 @@ import socket
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 
 from udp_mesh import local_wire
 from udp_mesh.config import Config
 from udp_mesh.core import envelope as envelopes
 from udp_mesh.core import wire
-from udp_mesh.core.events import Event, MessageDelivered, PeerDown, PeerUp, StoreProblem
+from udp_mesh.core.events import Event, MessageDelivered, MessageDropped, PeerDown, PeerUp, StoreProblem
 from udp_mesh.core.mesh import Datagram, MeshCore
+from udp_mesh.io import compression
 from udp_mesh.io.durable import Durable
 from udp_mesh.io.feed import EventFeed
 from udp_mesh.io.interfaces import list_interfaces
@@ -43,7 +45,7 @@ class Node:
         self._selector = selectors.SelectSelector()
         self._durable = Durable(core, server, config, self._report)
         self._watched_store: int | None = None
-        self._requests = Requests(core, self._durable, config, self._config_changed)
+        self._requests = Requests(core, self._durable, server, config, self._config_changed)
         self._requests.io_stats = lambda: dict(self._counters)
         self._is_stopping = False
         self._has_news = False
@@ -198,6 +200,19 @@ class Node:
             self._durable.confirmed(event.source, body, now=event.now)
         elif envelope.stored is not None:
             self._durable.received(event, envelope, body)
+        elif envelope.request is not None:
+            self._requests.questions.asked(event, envelope, body)
+        elif envelope.response is not None:
+            self._requests.questions.answered(envelope, body)
+        elif envelope.original_bytes is not None:
+            self._unpack(event, body, envelope.original_bytes)
+
+    def _unpack(self, event: MessageDelivered, body: memoryview, original_bytes: int) -> None:
+        payload = compression.decompress(body, original_bytes)
+        if payload is None:
+            self._counters["bad_compression"] += 1  # damaged, or this node lacks zstandard
+        else:
+            self._deliver(replace(event, payload=payload, flags=0))
 
     def _events(self) -> bool:
         """Carry the core's events to whom they concern; whether there were any."""
@@ -208,6 +223,9 @@ class Node:
             self._durable.on_event(event)
             if isinstance(event, MessageDelivered):
                 self._deliver(event)
+            elif isinstance(event, MessageDropped):
+                if event.token < 0:
+                    self._requests.questions.on_dropped(event)
             elif isinstance(event, PeerUp | PeerDown):
                 presence_changed = True
         if presence_changed:

@@ -15,7 +15,7 @@ from udp_mesh.core.envelope import DurableId, Envelope
 from udp_mesh.core.events import RefusalReason
 from udp_mesh.core.mesh import MeshCore, Refused
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability, TopicPolicy
-from udp_mesh.io import store_rows
+from udp_mesh.io import compression, store_rows
 from udp_mesh.io.server import Connection
 from udp_mesh.local_wire import Publish, Verdict
 
@@ -74,9 +74,10 @@ class Outgoing:
         if connection.client and sequence is not None:
             answer([(connection, publish.request)], sequence, None)
             return
-        payload = bytes(publish.payload)
+        packed = compression.compress(publish.payload) if policy.compress else None
+        payload = packed or bytes(publish.payload)
         try:
-            entries = self._admit(publish, payload, policy)
+            entries = self._admit(publish, payload, packed, policy)
         except Refused as refusal:
             self.counters[f"refused_{refusal.reason.value}"] += 1
             answer([(connection, publish.request)], 0, refusal.reason)
@@ -84,7 +85,7 @@ class Outgoing:
         self._deciding[key] = [(connection, publish.request)]
         self._commit(key, entries, payload)
 
-    def _admit(self, publish: Publish, payload: bytes, policy: TopicPolicy) -> list[Stored]:
+    def _admit(self, publish: Publish, payload: bytes, packed: bytes | None, policy: TopicPolicy) -> list[Stored]:
         if not 0 < len(publish.topic.encode()) <= min(wire.MAX_TOPIC_BYTES, self._core.settings.payload_bytes // 2):
             raise Refused(RefusalReason.BAD_TOPIC)
         if not 0 <= policy.priority <= 255 or (policy.lifetime_s is not None and policy.lifetime_s <= 0):
@@ -98,6 +99,7 @@ class Outgoing:
             self._destinations(publish.to),
             replace(policy, reliability=Reliability.RELIABLE),
             payload=payload,
+            original_bytes=None if payload is not packed else len(publish.payload),
             now=self._clock(),
         )
 

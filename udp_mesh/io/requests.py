@@ -9,12 +9,17 @@ from math import inf
 from time import monotonic
 
 from udp_mesh import config as configuration
-from udp_mesh import local_wire
+from udp_mesh import local_features, local_wire
+from udp_mesh.core import envelope as envelopes
+from udp_mesh.core import wire
+from udp_mesh.core.envelope import Envelope
 from udp_mesh.core.events import RefusalReason
 from udp_mesh.core.mesh import MeshCore, PeerStatus, Refused
 from udp_mesh.core.settings import Offline
+from udp_mesh.io import compression
 from udp_mesh.io.durable import Durable
-from udp_mesh.io.server import ALL_TOPICS, Connection
+from udp_mesh.io.questions import Questions
+from udp_mesh.io.server import ALL_TOPICS, Connection, LocalServer
 from udp_mesh.io.status import StatusPush
 from udp_mesh.local_wire import FrameType, LocalProtocolError, Publish, Verdict
 
@@ -30,6 +35,7 @@ class Requests:
         self,
         core: MeshCore,
         durable: Durable,
+        server: LocalServer,
         config: configuration.Config,
         on_config: Callable[[configuration.Config], None],
     ) -> None:
@@ -38,6 +44,7 @@ class Requests:
         self._on_config = on_config
         self.config = config
         self.status = StatusPush(self._state)
+        self.questions = Questions(core, server)
         self.io_stats: Callable[[], dict[str, int]] = dict
 
     def handle(self, connection: Connection, kind: int, body: memoryview) -> None:
@@ -51,12 +58,18 @@ class Requests:
                 connection.topics.discard(str(body, "utf-8"))
                 self._durable.inbox.unsubscribe(connection.number, str(body, "utf-8"))
             elif kind == FrameType.IDENTIFY:
-                connection.client = local_wire.decode_identity(body)
+                connection.client = local_features.decode_identity(body)
             elif kind == FrameType.TAKEN:
-                for durable_id in local_wire.decode_taken(body):
+                for durable_id in local_features.decode_taken(body):
                     self._durable.inbox.take(connection.number, durable_id)
             elif kind == FrameType.WATCH:
-                self.status.watch(connection, local_wire.decode_watch(body), now=monotonic())
+                self.status.watch(connection, local_features.decode_watch(body), now=monotonic())
+            elif kind == FrameType.ASK:
+                question = local_wire.decode_publish(body)
+                policy = question.overrides.apply(self._core.settings.policy(question.topic))
+                self.questions.ask(connection, question, policy)
+            elif kind == FrameType.ANSWER:
+                self.questions.answer(*local_features.decode_reply(body))
             elif kind == FrameType.REQUEST:
                 self._request(connection, json.loads(bytes(body)))
             else:
@@ -79,13 +92,16 @@ class Requests:
             return
         if connection.parked is publish and not self._core.has_room(publish.topic, len(publish.payload)):
             return
+        packed = compression.compress(publish.payload) if policy.compress else None
+        head = b"" if packed is None else envelopes.encode(Envelope(original_bytes=len(publish.payload)))
         try:
             message_id = self._core.publish(
                 publish.topic,
-                publish.payload,
+                publish.payload if packed is None else head + packed,
                 to=publish.to,
                 policy=policy,
                 may_drop=not publish.waits,
+                flags=wire.DATA_FLAG_ENVELOPE if head else 0,
                 now=monotonic(),
             )
         except Refused as refusal:
@@ -131,7 +147,7 @@ class Requests:
         if method == "peers":
             return self.peers()
         if method == "stats":
-            counters = {**self._core.stats(), **self.io_stats(), **self._durable.stats()}
+            counters = {**self._core.stats(), **self.io_stats(), **self._durable.stats(), **self.questions.counters}
             return {**self._about(), "counters": counters, **self._state()}
         if method == "config_get":
             return self.config_values()

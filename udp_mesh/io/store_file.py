@@ -28,7 +28,7 @@ _TABLES = {
     "outgoing": "sequence INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT, topic TEXT, policy TEXT,"
     " original_bytes INTEGER, wall_s REAL, boot TEXT, mono_s REAL, lifetime_s REAL, payload BLOB",
     "taken": "client INTEGER, request INTEGER, sequence INTEGER, wall_s REAL, PRIMARY KEY (client, request)",
-    "incoming": "store INTEGER, sequence INTEGER, source TEXT, topic TEXT, priority INTEGER, original_bytes INTEGER,"
+    "incoming": "store INTEGER, sequence INTEGER, source TEXT, topic TEXT, priority INTEGER,"
     " received_ns INTEGER, wall_s REAL, boot TEXT, mono_s REAL, lifetime_s REAL, payload BLOB,"
     " PRIMARY KEY (store, sequence)",
     "floors": "store INTEGER PRIMARY KEY, floor INTEGER",
@@ -175,8 +175,8 @@ def read(database: sqlite3.Connection, *, age_s: float, now: float) -> Contents:
         contents.outgoing.append(
             Stored(sequence, peer, topic, policy(policy_text), size or 0, now, deadline_s, original_bytes=original)
         )
-    for store, sequence, source, topic, priority, original, received_ns, size, *age in database.execute(
-        "SELECT store, sequence, source, topic, priority, original_bytes, received_ns, LENGTH(payload),"
+    for store, sequence, source, topic, priority, received_ns, size, *age in database.execute(
+        "SELECT store, sequence, source, topic, priority, received_ns, LENGTH(payload),"
         " wall_s, boot, mono_s, lifetime_s FROM incoming ORDER BY rowid"
     ):
         durable_id = DurableId(unsigned(store), unsigned(sequence))
@@ -184,7 +184,7 @@ def read(database: sqlite3.Connection, *, age_s: float, now: float) -> Contents:
         if size is not None:
             deadline_s = clock.deadline_s(*age)
             contents.kept.append(
-                Kept(durable_id, source, topic, priority, size, received_ns, min(deadline_s, now + age_s), original)
+                Kept(durable_id, source, topic, priority, size, received_ns, min(deadline_s, now + age_s))
             )
     contents.floors = {unsigned(s): unsigned(f) for s, f in database.execute("SELECT store, floor FROM floors")}
     contents.peers = [name for (name,) in database.execute("SELECT name FROM peers")]

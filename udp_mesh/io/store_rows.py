@@ -52,9 +52,9 @@ def drop_taken(client: int, request: int) -> Statement:
 
 def put_incoming(message: Kept, payload: bytes, *, age_s: float) -> Statement:
     """Return what stores a received message and its id."""
-    values = (*signed_id(message.durable_id), message.source, message.topic, message.priority, message.original_bytes)
+    values = (*signed_id(message.durable_id), message.source, message.topic, message.priority)
     return (
-        "INSERT OR REPLACE INTO incoming VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT OR REPLACE INTO incoming VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         (*values, message.received_ns, *moment(age_s), payload),
     )
 
