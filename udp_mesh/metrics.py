@@ -45,7 +45,7 @@ def _lines(stats: Mapping[str, object]) -> Iterator[str]:
     peers = stats.get("peers")
     known = [peer for peer in peers if isinstance(peer, dict)] if isinstance(peers, list) else []
     for name, meaning in _PEER_GAUGES.items():
-        rows = [(f'{node},peer="{_escape(str(peer["name"]))}"', peer[name]) for peer in known]
+        rows = [(f'{node},peer="{_escape(str(peer["name"]))}"', peer.get(name)) for peer in known]
         yield from _metric(f"peer_{name}", "gauge", meaning, rows)
 
 

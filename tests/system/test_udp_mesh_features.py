@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
 from tests.system.test_udp_mesh_io import Host, connect, hosts  # noqa: F401 (a fixture is used by its name)
-from udp_mesh.client import Refused, RequestFailed
+from udp_mesh import cli
+from udp_mesh.client import AsyncClient, Refused, RequestFailed
 
 
 @pytest.fixture
@@ -149,3 +152,46 @@ def test_what_cannot_be_sent_is_refused_with_its_reason_and_nothing_else_is_lost
         b.start()
         received = [receiver.receive(timeout_s=5.0) for _ in range(10)]
         assert sorted(m.payload[0] for m in received if m is not None) == list(range(10, 20))
+
+
+def test_the_asyncio_client_does_the_same(stations: tuple[Host, Host]) -> None:
+    a, b = stations
+    a.start()
+    b.start()
+
+    async def talk() -> list[bytes]:
+        async with AsyncClient(a.socket) as asker, AsyncClient(b.socket) as answerer:
+            await answerer.subscribe("service")
+            await answerer.stats()
+            assert await asker.wait_for_peer("beta", 5.0)
+            asker.watch_status(0.05)
+            status = await asker.wait_for_status(5.0)
+            assert status is not None
+            assert status.peers[0].name == "beta"
+            asked = asyncio.create_task(asker.request("service", b"?", to="beta"))
+            question = await answerer.receive(timeout_s=5.0)
+            assert question is not None
+            answerer.reply(question, b"!")
+            with pytest.raises(RequestFailed, match="nobody"):
+                await asker.request("nothing", b"?", to="beta")
+            asker.publish("service", b"stored", to="beta", offline="store")
+            await asker.publish_wait("service", b"waited for", to="beta", offline="store", timeout_s=5.0)
+            stored = [await answerer.receive(timeout_s=5.0) for _ in range(2)]
+            return [await asked, *(message.payload for message in stored if message is not None)]
+
+    assert asyncio.run(talk()) == [b"!", b"stored", b"waited for"]
+
+
+def test_the_command_line_asks_and_prints_metrics(stations: tuple[Host, Host], capsysbinary: Any) -> None:
+    a, b = stations
+    a.start()
+    b.start()
+    with connect(a) as waiter:
+        assert waiter.wait_for_peer("beta", 5.0)
+    assert cli.main(["--socket", a.socket, "ask", "time", "--to", "beta"]) == 1
+    assert b"nobody there has subscribed" in capsysbinary.readouterr().err
+    assert cli.main(["--socket", a.socket, "pub", "t", "x", "--to", "beta", "--offline", "store"]) == 0
+    assert cli.main(["--socket", a.socket, "metrics"]) == 0
+    text = capsysbinary.readouterr().out.decode()
+    assert 'udp_mesh_peer_online{node="alpha",peer="beta"} 1\n' in text
+    assert "# TYPE udp_mesh_stored_messages gauge\n" in text
