@@ -9,11 +9,12 @@ from pathlib import Path
 from udp_mesh.core.custody import Stored
 from udp_mesh.core.envelope import DurableId
 from udp_mesh.core.inbox import Kept
-from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
+from udp_mesh.core.settings import Keep, Offline, TopicPolicy
 
 Statement = tuple[str, tuple[object, ...]]
 
 REMEMBERED_REQUESTS = 1024  # of one application; it never has more publishes undecided
+_REMEMBERED = ("priority", "keep", "redundancy", "rate_limit_hz", "rate_limit_bps")  # of a policy, in the file
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -93,14 +94,14 @@ def moment(lifetime_s: float) -> tuple[object, ...]:
 
 def policy_text(policy: TopicPolicy) -> str:
     """Return what has to be remembered of a policy; its lifetime is in columns of its own."""
-    values = (policy.priority, policy.reliability, policy.keep)
-    return json.dumps([*values])
+    values = {name: getattr(policy, name) for name in _REMEMBERED}
+    return json.dumps(values)
 
 
 def policy(text: str) -> TopicPolicy:
     """Return the policy of a stored message."""
-    priority, reliability, keep = json.loads(text)
-    return TopicPolicy(priority, Reliability(reliability), Keep(keep), None, Offline.STORE)
+    values = json.loads(text)
+    return TopicPolicy(**{**values, "keep": Keep(values["keep"])}, offline=Offline.STORE)
 
 
 def signed(number: int) -> int:
