@@ -37,6 +37,17 @@ def test_a_message_of_any_size_arrives_as_it_was(make_net: Any, size_bytes: int,
     assert net.of("a", events.MessageQueued)[0].fragment_count == fragments
 
 
+def test_nothing_of_a_burst_is_overlooked(make_net: Any) -> None:
+    net = pair(make_net)
+    before = net.cores["b"].stats()["datagrams_received"]
+    for number in range(3):
+        net.publish("a", "t", bytes(100_000 + number), "b")
+    net.run(0.5)
+    assert len(net.delivered("b")) == 3
+    assert "fragments_retransmitted" not in net.cores["a"].stats()
+    assert net.cores["b"].stats()["datagrams_received"] - before >= 3 * 74
+
+
 def test_no_datagram_is_longer_than_set_and_bulk_fills_them(make_net: Any) -> None:
     net = make_net()
     net.keep_datagrams = True

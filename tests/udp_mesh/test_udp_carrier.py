@@ -78,7 +78,7 @@ def test_consecutive_datagrams_of_one_length_share_a_call(carrier: UdpCarrier, m
         send_burst(burst)
 
     monkeypatch.setattr(carrier, "_send_burst", counted)
-    singles = [to_itself(carrier, data) for data in [*numbered(3, 700), b"end", b"another"]]
+    singles = [to_itself(carrier, data) for data in [*numbered(3, 700), b"last", b"one"]]
     carrier.send(singles, window_bytes=WINDOW_BYTES)
     assert bursts == [4, 1]  # a shorter one ends a burst
     assert received(carrier, 5) == [datagram.data for datagram in singles]
