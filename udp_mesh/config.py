@@ -22,9 +22,10 @@ from pathlib import Path
 
 from udp_mesh import config_checks
 from udp_mesh.core import wire
+from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("coordinate", "floor", "key", "carriers", "neighbours", "dscp")
+NOT_YET = ("coordinate", "floor", "carriers", "neighbours", "dscp")
 NOT_YET_TOPIC: tuple[str, ...] = ()
 
 
@@ -56,6 +57,9 @@ class Config:
     """Whether an offline peer is searched for every 25 ms; false: it returns with its next beacon."""
     beacon_interval_s: float = 1.0
     """Time between beacons, 0.05..60."""
+    key: tuple[bytes, ...] = field(default=(), repr=False)
+    """The team's key, in a file 64 hexadecimal digits; without it datagrams are neither encrypted nor checked. Up to
+    four in a list: the first encrypts, all are understood."""
     socket: str = ""
     """Unix socket of the local applications; empty: see :func:`default_socket`."""
     queue_bytes: int = 16 * 1024 * 1024
@@ -74,6 +78,7 @@ class Config:
         return Settings(
             name=self.name,
             payload_bytes=self.payload_bytes,
+            keys=self.key,
             window=self.window,
             prioritise=self.prioritise,
             probe=self.probe,
@@ -94,7 +99,7 @@ class Config:
         return str(folder / f"{self.name.replace('/', '_')}.db")
 
 
-RUNTIME_KEYS = ("payload_bytes", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes")
+RUNTIME_KEYS = ("payload_bytes", "key", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes")
 
 
 def default_socket() -> str:
@@ -199,7 +204,8 @@ def _values(
             try:
                 values[key] = checks[key](value)
             except ValueError as error:
-                problems.append(f"{prefix}{key}: {error}, not {value!r}")
+                found = "" if key == "key" else f", not {value!r}"  # a secret does not belong into a log
+                problems.append(f"{prefix}{key}: {error}{found}")
         elif key in not_yet:
             problems.append(f"{prefix}{key}: not available yet; remove it")
         elif key not in skip:
@@ -212,6 +218,7 @@ _CHECKS: dict[str, config_checks.Check] = {
     "name": config_checks.name,
     "port": config_checks.number(1, 65535, whole=True),
     "interfaces": config_checks.interfaces,
+    "key": config_checks.key,
     "payload_bytes": config_checks.number(256, 65000, whole=True),
     "window": config_checks.number(0, 100_000, whole=True),
     "prioritise": config_checks.boolean,
@@ -239,6 +246,7 @@ _TOPIC_CHECKS: dict[str, config_checks.Check] = {
 def describe(config: Config) -> dict[str, object]:
     """Return the configuration as plain values, for people and JSON."""
     values: dict[str, object] = {f.name: getattr(config, f.name) for f in fields(config) if f.name != "topics"}
+    values["key"] = [f"id {key_id(key):02x}" for key in config.key]  # never the key itself
     values["topics"] = {name: describe_policy(policy) for name, policy in config.topics.items()}
     return values
 

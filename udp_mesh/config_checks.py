@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
+from importlib.util import find_spec
 
 from udp_mesh.core import wire
+from udp_mesh.core.keys import MAX_KEYS, parse_key
 from udp_mesh.core.settings import BROADCAST_NAME
 from udp_mesh.io import compression
 
@@ -59,6 +61,17 @@ def interfaces(value: object) -> object:
     if not isinstance(value, list) or not all(isinstance(name, str) and 0 < len(name) < 16 for name in value):
         raise ValueError('has to be a list of interface names like ["wlan0"]')
     return tuple(value)
+
+
+def key(value: object) -> object:
+    """Check the team's key or keys; no message repeats them."""
+    texts = value if isinstance(value, list) else [value]
+    if not 0 < len(texts) <= MAX_KEYS or not all(isinstance(text, str) for text in texts):
+        raise ValueError(f"has to be a key of 64 hexadecimal digits in quotes, or a list of 1..{MAX_KEYS} of them")
+    keys = tuple(parse_key(text) for text in texts)
+    if find_spec("cryptography") is None:
+        raise ValueError("needs the Python package cryptography; install it: pip install 'udp-mesh-lab[secure]'")
+    return keys
 
 
 def one_of(kind: type[StrEnum]) -> Check:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from random import Random
+from typing import TYPE_CHECKING
 
 from udp_mesh.core.events import Event, RefusalReason
 from udp_mesh.core.liveness import Liveness
@@ -19,6 +20,9 @@ from udp_mesh.core.receive import Receiver
 from udp_mesh.core.settings import Settings, TopicPolicy
 from udp_mesh.core.state import NodeState
 from udp_mesh.core.transmit import Datagram, Transmitter
+
+if TYPE_CHECKING:
+    from udp_mesh.core.guard import Guard
 
 __all__ = ["Datagram", "MeshCore", "Path", "PeerStatus", "Refused", "new_epoch"]
 
@@ -39,6 +43,9 @@ class MeshCore:
         self._transmitter = Transmitter(self._state, self._outbox)
         self._liveness = Liveness(self._state, self._outbox, self._transmitter, now=now)
         self._receiver = Receiver(self._state, self._outbox, self._liveness)
+        self._guard: Guard | None = None
+        self._resting_guard: Guard | None = None
+        self._use_keys(settings.keys)
         self._housekeeping_at_s = now + HOUSEKEEPING_INTERVAL_S
         self._now = now
 
@@ -63,7 +70,10 @@ class MeshCore:
     def receive_datagram(self, data: bytes | memoryview, path: Path, *, now: float) -> None:
         """Take a datagram that came from ``path``. Bad ones are counted by reason; nothing is raised."""
         self._now = now
-        self._receiver.datagram(data, path, now=now)
+        if self._guard is not None:
+            self._guard.burst(data, max(1, len(data)), path, now=now)
+        else:
+            self._receiver.datagram(data, path, now=now)
 
     def receive_burst(self, data: bytes | memoryview, segment_bytes: int, path: Path, *, now: float) -> None:
         """Take datagrams that arrived together, each ``segment_bytes`` long (the last may be shorter).
@@ -71,12 +81,13 @@ class MeshCore:
         As :meth:`receive_datagram` for each of them, only faster.
         """
         self._now = now
-        self._receiver.burst(data, segment_bytes, path, now=now)
+        (self._guard or self._receiver).burst(data, segment_bytes, path, now=now)
 
     def datagrams_to_send(self, *, now: float) -> list[Datagram]:
         """Return what has to leave now, in this order; call again until it is empty."""
         self._now = now
-        return self._liveness.datagrams(now=now) + self._transmitter.datagrams(now=now)
+        datagrams = self._liveness.datagrams(now=now) + self._transmitter.datagrams(now=now)
+        return datagrams if self._guard is None else self._guard.seal(datagrams)
 
     def next_timer(self) -> float:
         """Return when :meth:`handle_timer` has to be called at the latest; it may be in the past."""
@@ -102,6 +113,18 @@ class MeshCore:
             for peer in self._state.peers.values():
                 purged = peer.session.reassembler.purge_stale(now=now, is_online=peer.is_online)
                 self._liveness.report_purged(peer, purged, is_settled=False, now=now)
+
+    def _use_keys(self, keys: tuple[bytes, ...]) -> None:
+        guard = self._guard or self._resting_guard  # the same one for ever: its numbers must not begin anew
+        if not keys:
+            self._guard, self._resting_guard = None, guard
+        elif guard is not None:
+            guard.use(keys)
+            self._guard = guard
+        else:
+            from udp_mesh.core.guard import Guard  # with a key only: it needs the package cryptography
+
+            self._guard = Guard(keys, self._state, self._receiver, self._liveness)
 
     def next_event(self) -> Event | None:
         """Return the oldest event not yet returned, None if there is none."""
@@ -207,10 +230,12 @@ class MeshCore:
         state = self._state
         if settings.name != state.settings.name:
             raise ValueError("a node's name cannot change while it runs; restart it")
-        window_changes = (settings.window, settings.payload_bytes) != (
+        window_changes = (settings.window, settings.packet_bytes) != (
             state.settings.window,
-            state.settings.payload_bytes,
+            state.settings.packet_bytes,
         )
+        if settings.keys != state.settings.keys:
+            self._use_keys(settings.keys)
         state.settings = replace(settings)
         state.memory.limit_bytes = settings.reassembly_bytes
         self._now = now

@@ -62,7 +62,7 @@ class Outbox:
         """
         state = self._state
         encoded = topic.encode()
-        if not 0 < len(encoded) <= min(wire.MAX_TOPIC_BYTES, state.settings.payload_bytes // 2):
+        if not 0 < len(encoded) <= min(wire.MAX_TOPIC_BYTES, state.settings.packet_bytes // 2):
             raise Refused(RefusalReason.BAD_TOPIC)
         if not 0 <= policy.priority <= 255 or (policy.lifetime_s is not None and policy.lifetime_s <= 0):
             raise Refused(RefusalReason.BAD_POLICY)
@@ -73,7 +73,7 @@ class Outbox:
             topic,
             payload,
             policy,
-            datagram_bytes=state.settings.payload_bytes,
+            datagram_bytes=state.settings.packet_bytes,
             flags=flags,
             token=token,
             now=now,
@@ -241,7 +241,7 @@ class Outbox:
             message.topic,
             message.payload,
             policy,
-            datagram_bytes=self._state.settings.payload_bytes,
+            datagram_bytes=self._state.settings.packet_bytes,
             flags=message.flags,
             token=message.token,
             now=message.queued_at_s,

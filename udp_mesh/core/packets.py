@@ -15,6 +15,12 @@ class BadDatagram(StrEnum):
     TRUNCATED = "truncated"
     FRAME = "unknown_frame"
     VALUE = "impossible_value"
+    SEALED = "sealed"
+    UNSEALED = "unsealed"
+    UNKNOWN_KEY = "unknown_key"
+    FORGED = "forged"
+    REPLAYED = "replayed"
+    UNPROVEN = "unproven_epoch"
 
 
 class DataFragment(NamedTuple):

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
 
+from udp_mesh.core.wire import SEAL_BYTES
+
 BROADCAST_NAME = "all"
 MAX_MESSAGE_BYTES = 16 * 1024 * 1024
 MAX_REDUNDANCY = 8
@@ -67,6 +69,8 @@ class Settings:
     name: str
     payload_bytes: int = 1400
     """Largest datagram, without IP and UDP headers."""
+    keys: tuple[bytes, ...] = ()
+    """The team's keys of 32 bytes: the first seals, all open. None: datagrams are neither encrypted nor checked."""
     window: int = 0
     """Packets in flight to one peer; 0 leaves it to congestion control."""
     prioritise: bool = True
@@ -85,6 +89,11 @@ class Settings:
     trace_fragments: bool = False
     """Whether every fragment sent becomes an event."""
     topics: Mapping[str, TopicPolicy] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def packet_bytes(self) -> int:
+        """Largest datagram as the core builds it, before it is sealed."""
+        return self.payload_bytes - (SEAL_BYTES if self.keys else 0)
 
     def policy(self, topic: str) -> TopicPolicy:
         """Return the policy of a topic, the default one if the topic is not listed."""

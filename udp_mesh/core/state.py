@@ -51,5 +51,5 @@ class NodeState:
     def new_congestion(self, *, now: float) -> CongestionControl:
         """Return the congestion control that the settings ask for."""
         if self.settings.window:
-            return FixedWindow(self.settings.window, datagram_bytes=self.settings.payload_bytes)
-        return DelayControl(datagram_bytes=self.settings.payload_bytes, now=now)
+            return FixedWindow(self.settings.window, datagram_bytes=self.settings.packet_bytes)
+        return DelayControl(datagram_bytes=self.settings.packet_bytes, now=now)

@@ -123,7 +123,7 @@ class Transmitter:
         return due_s
 
     def _has_window(self, peer: Peer) -> bool:
-        in_flight = peer.session.recovery.in_flight_bytes + self._state.settings.payload_bytes
+        in_flight = peer.session.recovery.in_flight_bytes + self._state.settings.packet_bytes
         return in_flight <= peer.congestion.cwnd_bytes
 
     def _may_send(self, transfer: Transfer, *, now: float) -> bool:
@@ -151,7 +151,7 @@ class Transmitter:
         frames = session.control
         session.control = []
         if session.acks.has_pending:
-            room_bytes = self._state.settings.payload_bytes - wire.HEADER_BYTES - sum(map(len, frames))
+            room_bytes = self._state.settings.packet_bytes - wire.HEADER_BYTES - sum(map(len, frames))
             frames.append(session.acks.take(room_bytes=room_bytes, now=now))
         parts: list[tuple[Transfer, int]] | None = None
         if session.ping_wanted:
@@ -206,7 +206,7 @@ class Transmitter:
         number = session.recovery.next_packet_number
         frames: list[bytes | memoryview] = []
         parts: list[tuple[Transfer, int]] = []
-        room = self._state.settings.payload_bytes - wire.HEADER_BYTES
+        room = self._state.settings.packet_bytes - wire.HEADER_BYTES
         priority = transfer.message.policy.priority
         following: Transfer | None = transfer
         while following is not None:
@@ -227,7 +227,7 @@ class Transmitter:
         self._add_floor(peer, frames, room)
         session.probe_credits = max(0, session.probe_credits - 1)
         stalls = scheduler.head(peer.name) is None or (
-            session.recovery.in_flight_bytes + 2 * self._state.settings.payload_bytes > peer.congestion.cwnd_bytes
+            session.recovery.in_flight_bytes + 2 * self._state.settings.packet_bytes > peer.congestion.cwnd_bytes
         )
         return self._packet(peer, frames, parts, priority=priority, ack_now=stalls, now=now)
 

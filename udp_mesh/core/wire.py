@@ -16,6 +16,7 @@ MAGIC = b"uM"
 VERSION = 1
 FLAG_UNNUMBERED = 0x01
 FLAG_ACK_NOW = 0x02
+FLAG_SEALED = 0x04  # frames are encrypted (udp_mesh/core/wire_seal.py)
 _KNOWN_FLAGS = FLAG_UNNUMBERED | FLAG_ACK_NOW
 DATA_FLAG_ENVELOPE = 0x01  # the message's payload begins with an envelope (udp_mesh/core/envelope.py)
 _HEADER = struct.Struct("!2sBBQIHI")  # magic, version, flags, sender epoch, destination tag, packet number (48 bits)
@@ -32,6 +33,7 @@ TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_P
 
 HEADER_BYTES = _HEADER.size
 DATA_BYTES = _DATA.size
+SEAL_BYTES = 24  # what a key adds to a datagram
 PING = bytes([_TYPE_PING])
 MAX_NUMBER = (1 << 48) - 1
 MAX_FRAGMENTS = 0xFFFF
@@ -141,7 +143,7 @@ def decode(datagram: _Buffer) -> Dissection | BadDatagram:
     if version != VERSION:
         return BadDatagram.VERSION
     if flags & ~_KNOWN_FLAGS:
-        return BadDatagram.FLAGS
+        return BadDatagram.SEALED if flags & FLAG_SEALED else BadDatagram.FLAGS
     frames = _Frames()
     try:
         frames.decode(memoryview(datagram))

@@ -86,7 +86,7 @@ class Outgoing:
         self._commit(key, entries, payload)
 
     def _admit(self, publish: Publish, payload: bytes, packed: bytes | None, policy: TopicPolicy) -> list[Stored]:
-        if not 0 < len(publish.topic.encode()) <= min(wire.MAX_TOPIC_BYTES, self._core.settings.payload_bytes // 2):
+        if not 0 < len(publish.topic.encode()) <= min(wire.MAX_TOPIC_BYTES, self._core.settings.packet_bytes // 2):
             raise Refused(RefusalReason.BAD_TOPIC)
         if not 0 <= policy.priority <= 255 or (policy.lifetime_s is not None and policy.lifetime_s <= 0):
             raise Refused(RefusalReason.BAD_POLICY)
