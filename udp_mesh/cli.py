@@ -10,6 +10,8 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from udp_mesh.core.keys import KEY_BYTES
+
 if TYPE_CHECKING:
     from udp_mesh.client import Client
 
@@ -24,6 +26,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return daemon(words[1:])
     arguments = _parser().parse_args(words)
+    if arguments.command == "key":
+        print(os.urandom(KEY_BYTES).hex())
+        return 0
     from udp_mesh.client import Client, ClientError
 
     try:
@@ -44,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--socket", metavar="PATH", help="the daemon's Unix socket")
     parser.add_argument("--timeout", type=float, default=5.0, metavar="S", help="how long to wait for the daemon")
     commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("key", help="print a new key for a team's configuration")
     commands.add_parser("daemon", help="connect this node to the team; daemon --help for its options")
     publish = commands.add_parser("pub", help="send one message")
     publish.add_argument("topic")

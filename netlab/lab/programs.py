@@ -26,6 +26,7 @@ def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessS
         if process.builtin == "udp_mesh":
             config = folder / f"{node}.udp_mesh.toml"
             store = {"store": str(folder / f"{node}.udp_mesh.db")}
+            config.touch(mode=0o600)  # it may hold the team's key
             config.write_text(tomli_w.dumps(daemon_config(scenario, node) | store))
             argv: tuple[str, ...] = ("udp-mesh-daemon", "--config", str(config))
             argv += ("--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}", "--seed", f"{scenario.seed}/{node}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
@@ -28,6 +29,17 @@ def _whole_bytes(value: object) -> int:
 WholeBytes = Annotated[int, BeforeValidator(_whole_bytes), WithJsonSchema({"type": ["integer", "string"]})]
 
 
+def _quoted_key(value: object) -> object:
+    keys = value if isinstance(value, (list, tuple)) else [value]
+    if not 0 < len(keys) <= 4 or not all(isinstance(key, str) and _TEAM_KEY.fullmatch(key) for key in keys):
+        raise ValueError(
+            "expected 64 hexadecimal digits in quotes, such as `udp-mesh key` prints, or a list of 1 to 4 such keys"
+        )
+    return value
+
+
+_TEAM_KEY = re.compile("[0-9a-fA-F]{64}")
+TeamKey = Annotated[str, Field(pattern=f"^{_TEAM_KEY.pattern}$")]
 StoreAge = Annotated[float, Quantity(DURATION, minimum=1.0, maximum=2_592_000.0)]
 BeaconInterval = Annotated[float, Quantity(DURATION, minimum=0.05, maximum=60.0)]
 
@@ -61,7 +73,7 @@ class MeshSettings(StrictModel):
     store_age_s: StoreAge | None = Field(default=None, alias="store_age")
     topics: dict[Topic, TopicSettings] | None = None
     coordinate: NotYet = None
-    key: NotYet = None
+    key: Annotated[TeamKey | tuple[TeamKey, ...], BeforeValidator(_quoted_key)] | None = None
     neighbours: NotYet = None
 
     def daemon_config(self) -> dict[str, Any]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from udp_mesh import config
+from udp_mesh import config, config_checks
 from udp_mesh.config import Config, ConfigError
 from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
 
@@ -45,9 +46,29 @@ def test_all_mistakes_are_reported_together(tmp_path: Path) -> None:
         *("name", "port", "window", "prioritize", "key", "probe"),
         *("topics.a.priority", "topics.a.keep", "topics.a.offline", "topics.a.redundancy"),
     ]
-    for key in ("key",):
-        assert "not available yet" in problems[keys.index(key)]
+    assert "secret" not in "".join(problems)
     assert "known are" in problems[keys.index("prioritize")]
+
+
+def test_keys_are_read_and_never_shown() -> None:
+    first, second = "00" * 32, "f7" * 32
+    one = config.parse({"key": first}, source="f")
+    two = config.parse({"key": [first, second]}, source="f")
+    assert one.settings().keys == (bytes(32),)
+    assert two.settings().keys == (bytes(32), b"\xf7" * 32)
+    for read in (one, two, config.change(one, "key", f'["{first}", "{second}"]')):
+        shown = repr(read) + json.dumps(config.describe(read))
+        assert first not in shown
+        assert second not in shown
+        assert "\\xf7" not in shown
+    with pytest.raises(ConfigError, match="list of 1..4"):
+        config.parse({"key": []}, source="f")
+
+
+def test_a_key_without_its_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config_checks, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"f: key: needs the Python package cryptography; install it: pip install"):
+        config.parse({"key": "00" * 32}, source="f")
 
 
 def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
