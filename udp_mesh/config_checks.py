@@ -65,8 +65,9 @@ def interfaces(value: object) -> object:
 
 def key(value: object) -> object:
     """Check the team's key or keys; no message repeats them."""
-    texts = value if isinstance(value, list) else [value]
-    if not 0 < len(texts) <= MAX_KEYS or not all(isinstance(text, str) for text in texts):
+    given: list[object] = value if isinstance(value, list) else [value]
+    texts = [text for text in given if isinstance(text, str)]
+    if not 0 < len(texts) <= MAX_KEYS or texts != given:
         raise ValueError(f"has to be a key of 64 hexadecimal digits in quotes, or a list of 1..{MAX_KEYS} of them")
     keys = tuple(parse_key(text) for text in texts)
     if find_spec("cryptography") is None:

@@ -162,7 +162,11 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         ("{latency: {topic: telemetry}, p99: 60ms}", "{speed: 1}", "s.yaml:14: expect[0]: asks no known question"),
         ("duration: 20s\n", "duration: 20s\nengine: sim\n", "s.yaml:2: engine: engine 'sim' is not available yet"),
         ("duration: 20s\n", "duration: 20s\nterrain: {}\n", "s.yaml:2: terrain: is not available yet; remove it"),
-        ("duration: 20s\n", "duration: 20s\nudp_mesh: {key: x}\n", "s.yaml:2: udp_mesh.key: expected 64 hexadecimal digits"),
+        (
+            "duration: 20s\n",
+            "duration: 20s\nudp_mesh: {key: x}\n",
+            "s.yaml:2: udp_mesh.key: expected 64 hexadecimal digits",
+        ),
         ("duration: 20s\n", "duration: 20s\nudp_mesh: {probe: maybe}\n", "s.yaml:2: udp_mesh.probe: expected a switch"),
         ("duration: 20s\n", "", "s.yaml:1: duration: is missing; add it"),
         ("duration: 20s\n", "duration: 20s\nseed: -1\n", "s.yaml:2: seed: '-1' is impossible; it must be at least 0"),

@@ -61,7 +61,7 @@ def test_keys_are_read_and_never_shown() -> None:
         assert first not in shown
         assert second not in shown
         assert "\\xf7" not in shown
-    with pytest.raises(ConfigError, match="list of 1..4"):
+    with pytest.raises(ConfigError, match=r"list of 1\.\.4"):
         config.parse({"key": []}, source="f")
 
 
