@@ -25,7 +25,7 @@ from udp_mesh.core import wire
 from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("coordinate", "floor", "carriers", "neighbours", "dscp")
+NOT_YET = ("coordinate", "floor", "carriers", "neighbours")
 NOT_YET_TOPIC: tuple[str, ...] = ()
 
 
@@ -62,6 +62,8 @@ class Config:
     four in a list: the first encrypts, all are understood."""
     socket: str = ""
     """Unix socket of the local applications; empty: see :func:`default_socket`."""
+    dscp: bool = False
+    """Whether IP headers are marked by priority (docs/tuning.md has the table)."""
     queue_bytes: int = 16 * 1024 * 1024
     """Payload waiting or in flight in this node, 65536..2^30; beyond it the least urgent is dropped first."""
     store: str = ""
@@ -225,6 +227,7 @@ _CHECKS: dict[str, config_checks.Check] = {
     "probe": config_checks.boolean,
     "beacon_interval_s": config_checks.number(0.05, 60, whole=False),
     "socket": config_checks.text,
+    "dscp": config_checks.boolean,
     "queue_bytes": config_checks.number(65536, 1 << 30, whole=True),
     "store": config_checks.text,
     "store_bytes": config_checks.number(65536, 1 << 40, whole=True),

@@ -66,6 +66,8 @@ def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
         }
         if entry.lifetime_s is not None:
             topic["lifetime_s"] = entry.lifetime_s
+        if entry.compress:
+            topic["compress"] = True
         topics[entry.topic] = topic | (entry.rate_limit or {})
     for name, given in settings.pop("topics", {}).items():
         topics[name] = topics.get(name, {}) | given

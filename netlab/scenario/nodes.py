@@ -53,6 +53,7 @@ class TopicSettings(StrictModel):
     lifetime_s: PositiveSeconds | None = Field(default=None, alias="lifetime")
     offline: Literal["discard", "latest", "store"] | None = None
     rate_limit: RateLimit | None = None
+    compress: Switch | None = None
     redundancy: Annotated[int, Field(ge=1, le=8)] | None = None
 
 
@@ -69,6 +70,7 @@ class MeshSettings(StrictModel):
     payload_bytes: Annotated[WholeBytes, Field(ge=256, le=65_000)] | None = None
     beacon_interval_s: BeaconInterval | None = Field(default=None, alias="beacon_interval")
     queue_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 30)] | None = None
+    dscp: Switch | None = None
     store_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 40)] | None = None
     store_age_s: StoreAge | None = Field(default=None, alias="store_age")
     topics: dict[Topic, TopicSettings] | None = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
-from netlab.scenario.base import NodeName, StrictModel, Topic, node_name
+from netlab.scenario.base import NodeName, StrictModel, Switch, Topic, node_name
 from netlab.scenario.quantities import FREQUENCY, SIZE, PositiveSeconds, Quantity
 from netlab.scenario.rate_limit import RateLimit
 
@@ -68,6 +68,7 @@ class Traffic(StrictModel):
     offline: Literal["discard", "latest", "store"] = "discard"
     redundancy: Annotated[int, Field(ge=1, le=8)] = 1
     rate_limit: RateLimit | None = None
+    compress: Switch = False
 
     @property
     def topic_settings(self) -> tuple[object, ...]:
@@ -80,6 +81,7 @@ class Traffic(StrictModel):
             self.offline,
             self.redundancy,
             self.rate_limit,
+            self.compress,
         )
 
 

@@ -105,3 +105,18 @@ def test_a_window_larger_than_the_socket_enlarges_it(carrier: UdpCarrier) -> Non
     assert carrier._grow(100_000)
     assert carrier.socket.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) > before
     assert not carrier._grow(100_000)
+
+
+def test_the_ip_header_tells_the_priority_and_a_burst_has_one(carrier: UdpCarrier) -> None:
+    carrier.marks = True
+    carrier.socket.setsockopt(socket.IPPROTO_IP, socket.IP_RECVTOS, 1)
+    priorities = [0, 1, 2, 3, 4, 6, 7, 255, 0]
+    carrier.send(
+        [to_itself(carrier, bytes([p]) * 50)._replace(priority=p) for p in priorities], window_bytes=WINDOW_BYTES
+    )
+    marks = []
+    while len(marks) < len(priorities) and select.select([carrier], [], [], 2.0)[0]:
+        data, ancillary, _flags, _address = carrier.socket.recvmsg(1000, 256)
+        (tos,) = [value[0] for _level, kind, value in ancillary if kind == socket.IP_TOS]
+        marks += [(data[at], tos >> 2) for at in range(0, len(data), 50)]
+    assert marks == [(0, 46), (1, 46), (2, 34), (3, 34), (4, 0), (6, 0), (7, 8), (255, 8), (0, 46)]

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from udp_mesh.core import wire, wire_seal
+from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.packets import BadDatagram
 from udp_mesh.core.peer import Path
 from udp_mesh.core.receive import Receiver
 from udp_mesh.core.seal import Seal
 from udp_mesh.core.state import NodeState
-from udp_mesh.core.transmit import Datagram
 
 
 class Guard:
@@ -37,8 +37,9 @@ class Guard:
                 path,
                 self._seal.seal(data, segment_bytes or len(data), carrier=path.carrier),
                 segment_bytes and segment_bytes + wire.SEAL_BYTES,
+                priority,
             )
-            for path, data, segment_bytes in datagrams
+            for path, data, segment_bytes, priority in datagrams
         ]
 
     def burst(self, data: bytes | memoryview, segment_bytes: int, path: Path, *, now: float) -> None:

@@ -14,6 +14,7 @@ Theory of operation.
 from __future__ import annotations
 
 from udp_mesh.core import wire
+from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import (
     NameConflict,
     PartialPurged,
@@ -27,7 +28,7 @@ from udp_mesh.core.outbox import Outbox
 from udp_mesh.core.peer import NEVER_S, Path, Peer, Session
 from udp_mesh.core.reassembly import Partial
 from udp_mesh.core.state import NodeState
-from udp_mesh.core.transmit import Datagram, Transmitter
+from udp_mesh.core.transmit import Transmitter
 
 MAX_PEERS = 1024
 BEACON_JITTER = 0.1

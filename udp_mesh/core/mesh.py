@@ -12,6 +12,7 @@ from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING
 
+from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import Event, RefusalReason
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused
@@ -19,7 +20,7 @@ from udp_mesh.core.peer import Path, PeerStatus
 from udp_mesh.core.receive import Receiver
 from udp_mesh.core.settings import Settings, TopicPolicy
 from udp_mesh.core.state import NodeState
-from udp_mesh.core.transmit import Datagram, Transmitter
+from udp_mesh.core.transmit import Transmitter
 
 if TYPE_CHECKING:
     from udp_mesh.core.guard import Guard

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from udp_mesh.core import wire
 from udp_mesh.core.copies import Copies
+from udp_mesh.core.datagram import CONTROL_PRIORITY, Datagram
 from udp_mesh.core.events import FragmentRetransmitted, FragmentSent
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.outbox import Outbox
@@ -21,22 +20,6 @@ FLOOR_EVERY_MESSAGES = 64
 _FLOOR_BYTES = len(wire.encode_floor(0))
 _MIN_ACK_ROOM_BYTES = 64
 _PING_PRIORITY = 255  # when all is silent, data is worth repeating before a ping
-
-
-class Datagram(NamedTuple):
-    """Bytes for one path: one datagram, or with ``segment_bytes`` several of that length (the last may be shorter).
-
-    Consecutive ones for the same path and of one length may leave in one system call.
-    """
-
-    path: Path
-    data: bytes
-    segment_bytes: int = 0
-
-    def segments(self) -> list[bytes]:
-        """Return the datagrams one by one."""
-        size = self.segment_bytes or max(1, len(self.data))
-        return [self.data[at : at + size] for at in range(0, len(self.data), size)]
 
 
 class Transmitter:
@@ -81,7 +64,7 @@ class Transmitter:
             peer.was_limited = peer.is_online and scheduler.head(peer.name) is not None
         return out
 
-    def broadcast(self, frames: bytes) -> list[Datagram]:
+    def broadcast(self, frames: bytes, *, priority: int = CONTROL_PRIORITY) -> list[Datagram]:
         """Return one unacknowledged datagram per carrier."""
         header = wire.encode_header(
             epoch=self._state.epoch,
@@ -90,7 +73,7 @@ class Transmitter:
             flags=wire.FLAG_UNNUMBERED,
         )
         self._broadcast_number += 1
-        return [Datagram(Path(carrier, ""), header + frames) for carrier in self._state.carriers]
+        return [Datagram(Path(carrier, ""), header + frames, 0, priority) for carrier in self._state.carriers]
 
     def stray(self, path: Path, tag: int, frames: bytes) -> Datagram:
         """Return a unicast to somebody with whom there is no session; it is never acknowledged."""
@@ -198,7 +181,7 @@ class Transmitter:
             ack_now=in_flight_bytes + packet_bytes > peer.congestion.cwnd_bytes,
         )
         self._follow(peer, number, count, packet_bytes, ((transfer, first),), message.policy.priority, now=now)
-        return Datagram(peer.path, data, packet_bytes)
+        return Datagram(peer.path, data, packet_bytes, message.policy.priority)
 
     def _data(self, peer: Peer, transfer: Transfer, *, now: float) -> Datagram:
         """Build one packet: the next fragment, and what else of this peer's queue fits behind it."""
@@ -267,7 +250,7 @@ class Transmitter:
         )
         data = b"".join((header, *frames))
         self._follow(peer, number, 1, len(data), None if parts is None else tuple(parts), priority, now=now)
-        return Datagram(peer.path, data)
+        return Datagram(peer.path, data, 0, priority if parts else CONTROL_PRIORITY)
 
     @staticmethod
     def _follow(
@@ -292,7 +275,8 @@ class Transmitter:
     def _send_broadcast(self, transfer: Transfer, out: list[Datagram], *, now: float) -> None:
         number = self._broadcast_number
         self._note_fragment(transfer, 0, number, now=now)
-        out.extend(self.broadcast(b"".join(transfer.message.fragment(0))))
+        frames = b"".join(transfer.message.fragment(0))
+        out.extend(self.broadcast(frames, priority=transfer.message.policy.priority))
         transfer.advance(number)
         self._copies.note_sent(transfer, 0, now=now)
         if not transfer.has_copy(0):

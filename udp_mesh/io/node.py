@@ -80,7 +80,7 @@ class Node:
             carrier.close()
         for index, interface in present.items():
             if index not in self._carriers:
-                carrier = UdpCarrier(interface, self._config.port, self._counters)
+                carrier = UdpCarrier(interface, self._config.port, self._counters, marks=self._config.dscp)
                 self._carriers[index] = carrier
                 self._selector.register(carrier, selectors.EVENT_READ)
                 self._core.add_carrier(index)

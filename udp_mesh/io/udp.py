@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from udp_mesh.core.mesh import Datagram, Path
+from udp_mesh.io.dscp import tos_of
 from udp_mesh.io.interfaces import Interface
 
 _UDP_SEGMENT = 103
@@ -36,8 +37,8 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(4)
 class UdpCarrier:
     """One interface's socket."""
 
-    def __init__(self, interface: Interface, port: int, counters: Counter[str]) -> None:
-        """Open and bind.
+    def __init__(self, interface: Interface, port: int, counters: Counter[str], *, marks: bool = False) -> None:
+        """Open and bind; ``marks``: whether the IP header tells the priority (:mod:`udp_mesh.io.dscp`).
 
         Raises:
             OSError: The port is in use, or the interface is gone.
@@ -46,6 +47,7 @@ class UdpCarrier:
         self.backlog: list[Datagram] = []  # refused by the full socket; leaves before anything else
         self._port = port
         self._counters = counters
+        self.marks = marks
         self._heard_at_s: dict[str, float] = {}
         self._has_segmentation = True
         self._send_buffer_bytes = _SEND_BUFFER_BYTES
@@ -143,16 +145,26 @@ class UdpCarrier:
 
     def _burst_end(self, datagrams: list[Datagram], at: int) -> int:
         """Return the end of what may leave in one call: segments of one length, of which only the last is shorter."""
-        path, size = datagrams[at].path, _length(datagrams[at])
-        total, end = len(datagrams[at].data), at + 1
+        first = datagrams[at]
+        path, size = first.path, _length(first)
+        total, end = len(first.data), at + 1
         while self._has_segmentation and path.address and end < len(datagrams) and not total % size:
             following = datagrams[end]
             total += len(following.data)
             fits = _length(following) == size or (not following.segment_bytes and len(following.data) < size)
-            if following.path != path or not fits or total > _MAX_BURST_BYTES or total > _MAX_SEGMENTS * size:
+            if (
+                following.path != path
+                or not fits
+                or not self._marked_alike(first, following)
+                or total > _MAX_BURST_BYTES
+                or total > _MAX_SEGMENTS * size
+            ):
                 break
             end += 1
         return end
+
+    def _marked_alike(self, first: Datagram, second: Datagram) -> bool:
+        return not self.marks or tos_of(first.priority) == tos_of(second.priority)
 
     def _send_burst(self, burst: list[Datagram]) -> None:
         first = burst[0]
@@ -164,6 +176,8 @@ class UdpCarrier:
         ancillary = []
         if len(burst) > 1 or first.segment_bytes:
             ancillary.append((socket.IPPROTO_UDP, _UDP_SEGMENT, _length(first).to_bytes(2, sys.byteorder)))
+        if self.marks:
+            ancillary.append((socket.IPPROTO_IP, socket.IP_TOS, tos_of(first.priority).to_bytes(4, sys.byteorder)))
         self.socket.sendmsg([datagram.data for datagram in burst], ancillary, flags, (address, self._port))
 
     def close(self) -> None:
@@ -185,7 +199,7 @@ def _length(datagram: Datagram) -> int:
 
 
 def _singles(burst: Datagram) -> list[Datagram]:
-    return [Datagram(burst.path, data) for data in burst.segments()]
+    return [Datagram(burst.path, data, 0, burst.priority) for data in burst.segments()]
 
 
 def _segment_bytes(ancillary: list[tuple[int, int, bytes]]) -> int:
