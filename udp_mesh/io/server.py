@@ -14,7 +14,7 @@ from udp_mesh.frame_reader import FrameReader
 from udp_mesh.local_wire import FrameType, LocalProtocolError, Publish
 
 MAX_CONNECTIONS = 256
-MAX_WAITING_BYTES = 8 * 1024 * 1024
+MAX_WAITING_BYTES = 32 * 1024 * 1024  # a fast path fills it in a fifth of a second
 ALL_TOPICS = "*"
 _BATCH = 16
 _SOCKET_MODE = 0o600
@@ -100,14 +100,18 @@ class Connection:
 
     def send(self, frame: bytes, payload: bytes | memoryview = b"", *, may_lose: bool = False) -> None:
         """Queue a frame, of which ``payload`` is the end. Too slow a reader loses the oldest messages, and is told."""
-        if self._lost and may_lose:
-            self._append(_Output((local_wire.encode_lost(self._lost),), may_lose=False))
-            self._lost = 0
+        if may_lose:
+            self._tell_lost()
         self._append(_Output((frame, payload) if payload else (frame,), may_lose=may_lose))
         while self._waiting_bytes > MAX_WAITING_BYTES and len(self._frames) > 1 and self._lose_oldest():
             pass
         if self._waiting_bytes > 2 * MAX_WAITING_BYTES + local_wire.MAX_FRAME_BYTES:
             self.is_closed = True  # it asks and never reads
+
+    def _tell_lost(self) -> None:
+        if self._lost:
+            self._append(_Output((local_wire.encode_lost(self._lost),), may_lose=False))
+            self._lost = 0
 
     def _append(self, output: _Output) -> None:
         self._frames.append(output)
@@ -144,6 +148,8 @@ class Connection:
                 self._frames.popleft()
                 self._waiting_bytes -= output.size_bytes
                 self._first_sent = 0
+                if not self._frames:
+                    self._tell_lost()  # perhaps no message follows with which it could be told
 
 
 class LocalServer:
