@@ -165,9 +165,8 @@ class Share:
         """End the box; returns how it went, for a person."""
         assert self._box is not None
         if self._is_silent and not self._box.ended:
-            how = (
-                f"nothing was heard from the box for {self._order.patience_s:g} s of the host's clock (--lab-patience)"
-            )
+            silent_s = time.time() - max(self._opened_s, self.records.last_heard_s())
+            how = f"nothing was heard from the box for {silent_s:.0f} s of the host's clock (--lab-patience)"
         else:
             try:
                 how = f"the session in the box ended early (exit code {self._box.result().exit_code})"

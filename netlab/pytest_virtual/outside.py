@@ -144,17 +144,22 @@ class Outside:
         assert isinstance(report, pytest.TestReport)
         return report
 
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Other workers may still wait for a box of this one; an interrupted session does not."""
-        if self._boxes is not None and not (session.shouldstop or session.shouldfail):
-            if self._is_shared:
-                self._boxes.finish()
-            self._show_warnings()
+    def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
+        """End the boxes now: after this, a worker (xdist) may be interrupted at any moment.
+
+        Other workers may still wait for a box of this one, unless the session was cut short.
+        """
+        if self._boxes is not None:
+            cut_short = session.shouldstop or session.shouldfail or exitstatus == pytest.ExitCode.INTERRUPTED
+            try:
+                if self._is_shared and not cut_short:
+                    self._boxes.finish()
+                self._show_warnings()
+            finally:
+                self._boxes.close()
 
     def pytest_unconfigure(self) -> None:
         """Leave nothing."""
-        if self._boxes is not None:
-            self._boxes.close()
         if self._folder is not None and not self._is_shared:
             shutil.rmtree(self._folder, ignore_errors=True)
 
