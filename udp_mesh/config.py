@@ -94,7 +94,9 @@ class Config:
         """Return the store's file: ``store``, or one named after the node where state belongs that survives a boot."""
         if self.store:
             return self.store
-        if os.access("/var/lib", os.W_OK):
+        if os.environ.get("STATE_DIRECTORY"):  # systemd's, a list
+            folder = Path(os.environ["STATE_DIRECTORY"].partition(":")[0])
+        elif os.access("/var/lib", os.W_OK):
             folder = Path("/var/lib/udp_mesh")
         else:
             folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "udp_mesh"

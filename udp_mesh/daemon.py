@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import errno
 import os
 import random
 import signal
+import socket
 import sys
 import time
 from collections.abc import Sequence
@@ -72,11 +74,22 @@ def _serve(config: Config, arguments: argparse.Namespace) -> int:
         if arguments.ready_fd is not None:
             os.write(arguments.ready_fd, b"READY=1\n")
             os.close(arguments.ready_fd)
+        tell_systemd("READY=1")
         node.run()
     finally:
         signal.set_wakeup_fd(-1)
         node.close()
     return 0
+
+
+def tell_systemd(state: str) -> None:
+    """Report to the service manager that started this process, if one did; see sd_notify(3)."""
+    path = os.environ.get("NOTIFY_SOCKET", "")
+    if not path:
+        return
+    address = "\0" + path[1:] if path.startswith("@") else path
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.sendto(state.encode(), address)
 
 
 def _stop_on_signals(node: Node) -> None:
