@@ -11,12 +11,13 @@ TOOLS  := tcpdump tshark iproute2 iputils-ping
 VM_TOOLS := gcc make flex bison bc libelf-dev xz-utils
 PYTEST_ARGS ?=
 
-.PHONY: lab test test-vm vm-tools check bench venv tools clean help
+.PHONY: lab test test-vm agreement vm-tools check bench venv tools clean help
 
 help:
 	@echo "make lab     run the interactive lab on SCENARIO ($(SCENARIO))"
 	@echo "make test    run the whole test suite"
 	@echo "make test-vm run the tests of the kernel in a box, and system tests in virtual time inside it"
+	@echo "make agreement  compare netem, air and the pure medium in virtual time; writes docs/agreement.md"
 	@echo "make check   ruff and mypy"
 	@echo "make bench   measure the lab itself"
 	@echo "make venv    set up $(VENV) only"
@@ -42,6 +43,11 @@ test-vm: $(STAMP) tools vm-tools
 	@$(BIN)/python -m pytest -n auto tests/vm $(PYTEST_ARGS)
 	@$(BIN)/netlab vm --clock virtual --timeout 1500 --output captures -- \
 	  $(CURDIR)/$(BIN)/python -m pytest -p no:cacheprovider tests/system/test_kernel_netem.py tests/system/test_lab_scenarios.py $(PYTEST_ARGS)
+
+# Rewrites docs/agreement.md: netem, air and the pure medium against theory and each other.
+agreement: $(STAMP) vm-tools
+	@$(BIN)/netlab vm build
+	@$(BIN)/netlab vm --clock virtual --timeout 3000 --output docs -- $(CURDIR)/$(BIN)/python tests/agreement/agreement.py docs/agreement.md
 
 check: $(STAMP)
 	@$(BIN)/ruff check .
