@@ -49,6 +49,14 @@ class CongestionControl(Protocol):
     def rate_bps(self) -> float:
         """Estimated rate at which the path delivers; 0 before the first sample."""
 
+    @property
+    def capacity_bps(self) -> float:
+        """The same, if the path was ever full; else 0, for what was sent says little about what could have been."""
+
+    @property
+    def datagram_bytes(self) -> int:
+        """Largest datagram worth sending on this path."""
+
     def on_ack(self, sample: AckSample, *, rtt: RttEstimator, now: float) -> None:
         """Take an acknowledgement's sample."""
 
@@ -62,9 +70,11 @@ class FixedWindow:
     urgent_packets = 0
     pacing_rate_bps: float | None = None
     queue_delay_s = 0.0
+    capacity_bps = 0.0
 
     def __init__(self, packets: int, *, datagram_bytes: int) -> None:
         self.cwnd_bytes = packets * datagram_bytes
+        self.datagram_bytes = datagram_bytes
         self.rate_bps = 0.0
 
     def on_ack(self, sample: AckSample, *, rtt: RttEstimator, now: float) -> None:

@@ -39,6 +39,10 @@ BASE_WINDOW_S = 10.0
 DRAIN_INTERVAL_S = 1.0
 DRAIN_ROUNDS = 10
 FULL_SHARE = 0.9
+MAX_AIRTIME_S = 0.008
+MIN_DATAGRAM_BYTES = 256  # less would be half headers
+FRAME_HEADER_BYTES = 42  # Ethernet, IPv4, UDP
+DATAGRAM_STEP = 64
 MIN_PACKETS = 2
 INITIAL_PACKETS = 8
 MAX_CWND_BYTES = 64 * 1024 * 1024
@@ -56,7 +60,7 @@ class DelayControl:
     urgent_packets = URGENT_PACKETS
 
     def __init__(self, *, datagram_bytes: int, now: float) -> None:
-        self.datagram_bytes = datagram_bytes
+        self.datagram_bytes = self._most_datagram_bytes = datagram_bytes
         self.rate_bps = 0.0
         self.queue_delay_s = 0.0
         self._cwnd = float(INITIAL_PACKETS * datagram_bytes)
@@ -86,6 +90,11 @@ class DelayControl:
     def cwnd_bytes(self) -> int:
         """Bytes that may be in flight."""
         return int(max(self._cwnd - self._held_back_bytes, MIN_PACKETS * self.datagram_bytes))
+
+    @property
+    def capacity_bps(self) -> float:
+        """Estimated rate of the path; 0 before it was ever full."""
+        return 0.0 if self._in_slow_start else self.rate_bps
 
     @property
     def pacing_rate_bps(self) -> float | None:
@@ -145,7 +154,8 @@ class DelayControl:
             (first_us, first_bytes), (last_us, last_bytes) = self._arrivals[0], self._arrivals[-1]
             elapsed_s = ((last_us - first_us) & 0xFFFFFFFF) / 1e6
             if elapsed_s > 0:
-                bandwidth_delay = (last_bytes - first_bytes) / elapsed_s * (self._rtt_s - self.queue_delay_s)
+                self.rate_bps = 8 * (last_bytes - first_bytes) / elapsed_s
+                bandwidth_delay = self.rate_bps / 8 * (self._rtt_s - self.queue_delay_s)
                 self._cwnd = min(START_GROWTH * self._cwnd, bandwidth_delay + self._target_bytes())
             self._in_slow_start = self._queue_seen = False
             self._skips_rounds = 2  # what is in flight still shows the overshoot
@@ -173,7 +183,14 @@ class DelayControl:
         elif not self._in_slow_start and delay_s < float("inf"):
             self._move(delay_s, is_limited=is_limited)
             self._drain(delay_s, now=now)
+        self._fit_datagram()
         self._begin_round(now=now)
+
+    def _fit_datagram(self) -> None:
+        """Shrink fragments on a slow path, so that an urgent one need not wait long for one under way."""
+        if self.capacity_bps > 0:
+            fitting = int(self.capacity_bps / 8 * MAX_AIRTIME_S - FRAME_HEADER_BYTES) // DATAGRAM_STEP * DATAGRAM_STEP
+            self.datagram_bytes = min(max(fitting, MIN_DATAGRAM_BYTES), self._most_datagram_bytes)
 
     def _move(self, delay_s: float, *, is_limited: bool) -> None:
         waiting = self._cwnd * delay_s / (self._rtt_s - self.queue_delay_s + delay_s)

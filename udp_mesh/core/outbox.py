@@ -12,6 +12,7 @@ from __future__ import annotations
 from udp_mesh.core import wire
 from udp_mesh.core.deadlines import Deadlines
 from udp_mesh.core.events import DropReason, MessageAcked, MessageDropped, MessageQueued, RefusalReason
+from udp_mesh.core.fragment_size import datagram_bytes
 from udp_mesh.core.messages import Message, Transfer
 from udp_mesh.core.peer import Lane, Peer
 from udp_mesh.core.recovery import SentRun
@@ -73,7 +74,7 @@ class Outbox:
             topic,
             payload,
             policy,
-            datagram_bytes=state.settings.packet_bytes,
+            datagram_bytes=datagram_bytes(state, to, topic_bytes=len(encoded), size_bytes=len(payload)),
             flags=flags,
             token=token,
             now=now,
@@ -241,7 +242,9 @@ class Outbox:
             message.topic,
             message.payload,
             policy,
-            datagram_bytes=self._state.settings.packet_bytes,
+            datagram_bytes=datagram_bytes(
+                self._state, transfer.peer, topic_bytes=len(message.topic_bytes), size_bytes=message.size_bytes
+            ),
             flags=message.flags,
             token=message.token,
             now=message.queued_at_s,

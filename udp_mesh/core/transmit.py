@@ -6,6 +6,7 @@ from udp_mesh.core import wire
 from udp_mesh.core.copies import Copies
 from udp_mesh.core.datagram import CONTROL_PRIORITY, Datagram
 from udp_mesh.core.events import FragmentRetransmitted, FragmentSent
+from udp_mesh.core.gate import Gate
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.outbox import Outbox
 from udp_mesh.core.peer import Path, Peer
@@ -30,6 +31,7 @@ class Transmitter:
         self._outbox = outbox
         self._broadcast_number = 0
         self._copies = Copies()
+        self._gate = Gate(state)
 
     def datagrams(self, *, now: float) -> list[Datagram]:
         """Return what may leave now; with much to send only the first part, so that the caller can receive between."""
@@ -42,7 +44,7 @@ class Transmitter:
             scheduler.push(copied)
 
         def can_send(transfer: Transfer) -> bool:
-            return self._may_send(transfer, now=now)
+            return self._gate.may_send(transfer, now=now)
 
         room = MAX_DATAGRAMS_PER_TURN
         while room > 0:
@@ -85,8 +87,9 @@ class Transmitter:
     def next_timer(self, *, now: float) -> float | None:
         """Return when something may leave that cannot leave now; ``now`` if more waits than one turn takes."""
         times = [self._peer_timer(peer, now=now) for peer in self._state.peers.values()]
-        if self._state.carriers and self._state.scheduler.head(BROADCAST_NAME) is not None:
-            times.append(now)
+        broadcast = self._state.scheduler.head(BROADCAST_NAME)
+        if broadcast is not None:
+            times.append(self._gate.opens_at_s(broadcast, now=now))
         times.append(self._copies.next_timer())
         return min((time for time in times if time is not None), default=None)
 
@@ -99,32 +102,10 @@ class Transmitter:
         due_s = session.acks.due_at_s
         head = self._state.scheduler.head(peer.name)
         if head is not None:
-            if self._may_send(head, now=now):
-                return now
-            if self._has_window(peer):
-                due_s = peer.pacer.next_at_s if due_s is None else min(due_s, peer.pacer.next_at_s)
+            opens_at_s = self._gate.opens_at_s(head, now=now)
+            if opens_at_s is not None:
+                return opens_at_s if due_s is None else min(due_s, opens_at_s)
         return due_s
-
-    def _has_window(self, peer: Peer) -> bool:
-        in_flight = peer.session.recovery.in_flight_bytes + self._state.settings.packet_bytes
-        return in_flight <= peer.congestion.cwnd_bytes
-
-    def _may_send(self, transfer: Transfer, *, now: float) -> bool:
-        if transfer.peer == BROADCAST_NAME:
-            return bool(self._state.carriers)
-        peer = self._state.peers[transfer.peer]
-        if not peer.is_online:
-            return False
-        if peer.session.probe_credits > 0:
-            return True
-        if self._has_window(peer) and peer.pacer.next_at_s <= now:
-            return True
-        if not self._state.settings.prioritise:
-            return False
-        # Somebody less urgent fills window or pace: a few urgent packets go past them instead of behind them.
-        recovery = peer.session.recovery
-        as_urgent = recovery.urgent_in_flight(transfer.message.policy.priority)
-        return as_urgent < peer.congestion.urgent_packets and as_urgent < len(recovery)
 
     def _control(self, peer: Peer, out: list[Datagram], *, now: float) -> None:
         session = peer.session
@@ -189,12 +170,12 @@ class Transmitter:
         number = session.recovery.next_packet_number
         frames: list[bytes | memoryview] = []
         parts: list[tuple[Transfer, int]] = []
-        room = self._state.settings.packet_bytes - wire.HEADER_BYTES
+        room = peer.congestion.datagram_bytes - wire.HEADER_BYTES
         priority = transfer.message.policy.priority
         following: Transfer | None = transfer
         while following is not None:
             index = following.peek()
-            if index is None or following.message.fragment_bytes(index) > room:
+            if index is None or (parts and following.message.fragment_bytes(index) > room):
                 break
             self._note_fragment(following, index, number, now=now)
             frames.extend(following.message.fragment(index))
@@ -209,9 +190,7 @@ class Transmitter:
             room -= len(ack)
         self._add_floor(peer, frames, room)
         session.probe_credits = max(0, session.probe_credits - 1)
-        stalls = scheduler.head(peer.name) is None or (
-            session.recovery.in_flight_bytes + 2 * self._state.settings.packet_bytes > peer.congestion.cwnd_bytes
-        )
+        stalls = scheduler.head(peer.name) is None or not self._gate.has_window(peer, packets=2)
         return self._packet(peer, frames, parts, priority=priority, ack_now=stalls, now=now)
 
     def _note_fragment(self, transfer: Transfer, index: int, number: int, *, now: float) -> None:
@@ -276,7 +255,9 @@ class Transmitter:
         number = self._broadcast_number
         self._note_fragment(transfer, 0, number, now=now)
         frames = b"".join(transfer.message.fragment(0))
-        out.extend(self.broadcast(frames, priority=transfer.message.policy.priority))
+        datagrams = self.broadcast(frames, priority=transfer.message.policy.priority)
+        out.extend(datagrams)
+        self._gate.on_broadcast(max((len(d.data) for d in datagrams), default=0), now=now)
         transfer.advance(number)
         self._copies.note_sent(transfer, 0, now=now)
         if not transfer.has_copy(0):
