@@ -87,3 +87,78 @@ def test_the_window_of_the_paper_wastes_a_long_link(make_net: Any) -> None:
 def test_other_links_are_filled_as_well(make_net: Any, rate_bps: float, delay_s: float) -> None:
     outcome = saturate(make_net, rate_bps=rate_bps, delay_s=delay_s, duration_s=1.0 if rate_bps > 5e7 else 12.0)
     assert outcome.utilisation >= 0.8
+
+
+def test_probes_take_a_small_part_of_a_slow_link(make_net: Any) -> None:
+    net = make_net(seed=5, delay_s=0.01)
+    net.add("a")
+    net.add("b")
+    net.meet()
+    net.link("a", "b", rate_bps=100e3, limit_packets=50)
+    for _ in range(12):
+        net.publish("a", "bulk", bytes(10_000), "b")
+    net.run(5.0)
+    net.link("a", "b", is_cut=True)
+    net.run(3.0)
+    assert not net.cores["a"].peers(now=net.now)[0].online
+    net.keep_datagrams = True
+    net.run(20.0)
+    sent_bits = sum(8 * (len(datagram.data) + 42) for _at, datagram in net.sent["a"])
+    beacons_bits = 22 * 8 * 90
+    assert 0 < sent_bits - beacons_bits < 0.02 * 100e3 * 20
+
+
+def test_fragments_shrink_until_they_are_short_in_the_air(make_net: Any) -> None:
+    net = make_net(seed=5, delay_s=0.01)
+    net.add("a")
+    net.add("b")
+    net.meet()
+    net.link("a", "b", rate_bps=600e3, limit_packets=100)
+    for _ in range(4):
+        net.publish("a", "bulk", bytes(20_000), "b", priority=9)
+    net.run(2.0)
+    net.keep_datagrams = True
+    net.publish("a", "bulk", bytes(40_000), "b", priority=9)
+    net.run(1.0)
+    largest = max(len(datagram.data) for _at, datagram in net.sent["a"])
+    assert 0.003 < 8 * (largest + 42) / 600e3 <= 0.0085
+    assert len(net.delivered("b")) == 5
+
+
+def test_broadcasts_are_paced_and_yield_to_what_is_more_urgent(make_net: Any) -> None:
+    net = make_net(seed=5, delay_s=0.01)
+    net.add("a")
+    net.add("b")
+    net.meet()
+    net.keep_datagrams = True
+    began_s = net.now
+    for _ in range(30):
+        net.publish("a", "map", bytes(1000), "all", priority=5)
+    net.run(0.005)
+    net.publish("a", "alarm", b"x", "all", priority=0)
+    net.run(0.2)
+    topics = [m.topic for m in net.delivered("b")]
+    assert topics.count("map") == 30
+    assert topics.index("alarm") < 10
+    times = [at for at, packet in net.packets("a") if packet.is_broadcast and packet.fragments]
+    assert times[-1] - began_s >= 29 * 8 * 1000 / 6e6  # nothing is known of this carrier
+
+
+def test_broadcasts_count_towards_the_pace_of_the_link(make_net: Any) -> None:
+    """A flood of broadcasts and bulk share the link instead of filling its queue."""
+    net = make_net(seed=5, delay_s=0.01)
+    net.add("a")
+    net.add("b")
+    net.meet()
+    net.link("a", "b", rate_bps=10e6, limit_packets=50)
+
+    def bulk() -> None:
+        while net.cores["a"].stats()["queued_bytes"] < 200_000:
+            net.publish("a", "bulk", bytes(50_000), "b", priority=9)
+
+    net.every(0.02, bulk, until_s=net.now + 4)
+    net.run(1.0)
+    net.every(0.01, lambda: net.publish("a", "map", bytes(1200), "all", priority=5), until_s=net.now + 3)
+    net.run(3.0)
+    assert net.links["a", "b"].dropped == 0
+    assert len(net.delivered("b", "map")) >= 295

@@ -7,6 +7,7 @@ Theory of operation.
   are a second apart, and the peer's return would wait for them.
 * While this node has, or had in the last ten minutes, something for an offline peer, it broadcasts PROBE frames: every
   25 ms for two minutes, then each second; one for all such peers. Whom it names answers by broadcast. No back-off.
+  On slow paths less often: probes take at most 2 % of what the path carried; if it was never full, one per round trip.
 * Any packet revives a peer. One exception: a peer that was heard although it did not answer does not hear us; it is
   searched for, and returns when a unicast or an answer shows that it does.
 """
@@ -36,6 +37,9 @@ MISSED_BEACONS = 3.5  # three and some jitter
 PROBE_INTERVAL_S = 0.025
 PROBE_QUICK_FOR_S = 120.0
 PROBE_SLOW_INTERVAL_S = 1.0
+PROBE_RAREST_S = 10.0
+PROBE_SHARE = 0.02
+PROBE_BYTES = 128  # on the carrier, with its headers
 PROBE_TRAFFIC_WITHIN_S = 600.0
 PATH_STALE_AFTER_S = 1.5
 CONFLICT_AFTER_S = 3.0
@@ -43,6 +47,14 @@ STALL_S = 0.05
 STALL_GRACE_S = 0.1
 INTRODUCTION_INTERVAL_S = 0.05
 _MAX_INTRODUCTIONS = 256
+
+
+def _probe_interval_s(peer: Peer) -> float:
+    """Return how often to look for a peer: probes stay below a small part of what its path was seen to carry."""
+    capacity_bps, rtt = peer.congestion.capacity_bps, peer.session.rtt
+    unknown_s = rtt.min_s if rtt.has_sample else 0.0
+    fair_s = 8 * PROBE_BYTES / (PROBE_SHARE * capacity_bps) if capacity_bps else unknown_s
+    return min(max(PROBE_INTERVAL_S, fair_s), PROBE_RAREST_S)
 
 
 class Liveness:
@@ -249,7 +261,8 @@ class Liveness:
             return None
         newest_s = max(peer.down_since_s for peer in sought)
         is_quick = now - newest_s < PROBE_QUICK_FOR_S
-        return self._probe_at_s + (PROBE_INTERVAL_S if is_quick else PROBE_SLOW_INTERVAL_S)
+        interval_s = min(_probe_interval_s(peer) for peer in sought)  # a carrier carries what its best path does
+        return self._probe_at_s + (interval_s if is_quick else max(interval_s, PROBE_SLOW_INTERVAL_S))
 
     def _hello(self, *, heard: tuple[int, ...] = ()) -> bytes:
         state = self._state
