@@ -25,7 +25,7 @@ from udp_mesh.core import wire
 from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("coordinate", "floor", "carriers", "neighbours")
+NOT_YET = ("carriers", "neighbours")
 NOT_YET_TOPIC: tuple[str, ...] = ()
 
 
@@ -64,6 +64,10 @@ class Config:
     """Unix socket of the local applications; empty: see :func:`default_socket`."""
     dscp: bool = False
     """Whether IP headers are marked by priority (docs/tuning.md has the table)."""
+    floor: float = 0.0
+    """Share of what leaves that is kept for less urgent messages while more urgent ones would take all, 0..0.5."""
+    coordinate: bool = False
+    """Whether nodes tell each other what waits, and send little while something more urgent waits elsewhere."""
     queue_bytes: int = 16 * 1024 * 1024
     """Payload waiting or in flight in this node, 65536..2^30; beyond it the least urgent is dropped first."""
     store: str = ""
@@ -86,6 +90,8 @@ class Config:
             probe=self.probe,
             beacon_interval_s=self.beacon_interval_s,
             queue_bytes=self.queue_bytes,
+            floor_ratio=self.floor,
+            coordinate=self.coordinate,
             trace_fragments=trace_fragments,
             topics=self.topics,
         )
@@ -103,7 +109,10 @@ class Config:
         return str(folder / f"{self.name.replace('/', '_')}.db")
 
 
-RUNTIME_KEYS = ("payload_bytes", "key", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes")
+RUNTIME_KEYS = (
+    *("payload_bytes", "key", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes"),
+    *("floor", "coordinate"),
+)
 
 
 def default_socket() -> str:
@@ -230,6 +239,8 @@ _CHECKS: dict[str, config_checks.Check] = {
     "beacon_interval_s": config_checks.number(0.05, 60, whole=False),
     "socket": config_checks.text,
     "dscp": config_checks.boolean,
+    "floor": config_checks.number(0, 0.5, whole=False),
+    "coordinate": config_checks.boolean,
     "queue_bytes": config_checks.number(65536, 1 << 30, whole=True),
     "store": config_checks.text,
     "store_bytes": config_checks.number(65536, 1 << 40, whole=True),

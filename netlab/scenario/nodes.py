@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
 from netlab.scenario.mesh import BatmanSettings, MeshWord
-from netlab.scenario.quantities import DURATION, SIZE, PositiveSeconds, Quantity, describe
+from netlab.scenario.quantities import DURATION, RATIO, SIZE, PositiveSeconds, Quantity, describe
 from netlab.scenario.radio import node_radio
 from netlab.scenario.rate_limit import RateLimit
 
@@ -74,7 +74,8 @@ class MeshSettings(StrictModel):
     store_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 40)] | None = None
     store_age_s: StoreAge | None = Field(default=None, alias="store_age")
     topics: dict[Topic, TopicSettings] | None = None
-    coordinate: NotYet = None
+    coordinate: Switch | None = None
+    floor: Annotated[float, Quantity(RATIO, maximum=0.5)] | None = None
     key: Annotated[TeamKey | tuple[TeamKey, ...], BeforeValidator(_quoted_key)] | None = None
     neighbours: NotYet = None
 

@@ -203,9 +203,9 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
                 },
                 "nodes": {"a": {"waypoints": [[0, 0]], "speed": "1m/s", "carried_by": "b", "mesh": "wnet"}, "b": {}},
                 "events": [{"at": "0s", "deploy": "a"}],
-                "udp_mesh": {"coordinate": True, "neighbours": []},
+                "udp_mesh": {"neighbours": []},
             }
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]
     assert late == caught.value.problems
-    assert len(late) == 12
+    assert len(late) == 11

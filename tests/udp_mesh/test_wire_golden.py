@@ -29,11 +29,12 @@ def test_every_frame_has_the_documented_bytes() -> None:
     assert wire.encode_probe([3]) == bytes.fromhex("04 01 00000003")
     assert bytes.fromhex("05") == wire.PING
     assert wire.encode_floor(0x010000000002) == bytes.fromhex("06 010000000002")
+    assert wire.encode_backlog(3) == bytes.fromhex("08 03")
     assert wire.encode_purged(2) == bytes.fromhex("07 000000000002")
 
 
 def test_a_datagram_of_all_frames_is_dissected() -> None:
-    frames = HEADER + DATA + ACK + HELLO + "04 01 00000003" + "05" + "06 000000000002" + "07 000000000008"
+    frames = HEADER + DATA + ACK + HELLO + "04 01 00000003" + "05" + "06 000000000002" + "07 000000000008" + "08 03"
     packet = wire.dissect(bytes.fromhex(frames))
     assert packet is not None
     assert (packet.epoch, packet.destination_tag, packet.packet_number) == (0x1122334455667788, 7, 0xA00000000)
@@ -46,6 +47,7 @@ def test_a_datagram_of_all_frames_is_dissected() -> None:
     assert packet.acks == (wire.Ack(((5, 9), (1, 3)), 1, 2),)
     assert packet.acks[0].largest == 9
     assert packet.beacons == (wire.Hello("base", 1.0, 4, (1, 2)),)
+    assert packet.backlogs == (3,)
     assert (packet.probes, packet.pings, packet.floors, packet.purged) == ((3,), 1, (2,), (8,))
 
 

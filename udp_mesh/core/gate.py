@@ -6,6 +6,7 @@ take is charged to the pace of every peer, so that unicasts and broadcasts toget
 
 from __future__ import annotations
 
+from udp_mesh.core.coordination import Coordination
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.pacer import Pacer
 from udp_mesh.core.peer import Peer
@@ -18,19 +19,23 @@ UNKNOWN_RATE_BPS = 6e6  # of a carrier on which nothing was measured yet: the sl
 class Gate:
     """Looks at windows and paces, and keeps that of broadcasts."""
 
-    def __init__(self, state: NodeState) -> None:
+    def __init__(self, state: NodeState, coordination: Coordination) -> None:
         self._state = state
+        self._coordination = coordination
         self._broadcast_pacer = Pacer()
 
     def may_send(self, transfer: Transfer, *, now: float) -> bool:
         """Whether the next packet of a transfer may leave."""
+        yields = self._coordination.yield_until_s(transfer, now=now) > now
         if transfer.peer == BROADCAST_NAME:
-            return bool(self._state.carriers) and self._broadcast_pacer.next_at_s <= now
+            return bool(self._state.carriers) and self._broadcast_pacer.next_at_s <= now and not yields
         peer = self._state.peers[transfer.peer]
         if not peer.is_online:
             return False
         if peer.session.probe_credits > 0:
             return True
+        if yields:
+            return False
         if self.has_window(peer) and peer.pacer.next_at_s <= now:
             return True
         if not self._state.settings.prioritise:
@@ -50,10 +55,15 @@ class Gate:
         """Return when to ask :meth:`may_send` again; None if only an acknowledgement helps."""
         if self.may_send(transfer, now=now):
             return now
+        yield_until_s = self._coordination.yield_until_s(transfer, now=now)
         if transfer.peer == BROADCAST_NAME:
-            return self._broadcast_pacer.next_at_s if self._state.carriers else None
+            return max(self._broadcast_pacer.next_at_s, yield_until_s) if self._state.carriers else None
         peer = self._state.peers[transfer.peer]
-        return peer.pacer.next_at_s if peer.is_online and self.has_window(peer) else None
+        if not peer.is_online:
+            return None
+        if not self.has_window(peer):
+            return yield_until_s if yield_until_s > now else None
+        return max(peer.pacer.next_at_s, yield_until_s)
 
     def on_broadcast(self, size_bytes: int, *, now: float) -> None:
         """Charge a broadcast to every pace."""

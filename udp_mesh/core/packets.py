@@ -69,7 +69,7 @@ class Dissection(NamedTuple):
 
     ``destination_tag`` is the low half of the addressee's epoch, 0 in a broadcast. ``probes`` are the tags of nodes
     that the sender is looking for. ``floors``: every message below this id is settled. ``purged``: messages of which
-    the sender has forgotten what it had.
+    the sender has forgotten what it had. ``backlogs`` are priorities of what waits at the sender.
     """
 
     epoch: int
@@ -84,6 +84,7 @@ class Dissection(NamedTuple):
     floors: tuple[int, ...]
     purged: tuple[int, ...]
     pings: int
+    backlogs: tuple[int, ...] = ()
 
     @property
     def is_broadcast(self) -> bool:

@@ -76,6 +76,8 @@ class Peer:
         self.last_traffic_s = NEVER_S
         self.last_window_event_s = NEVER_S
         self.was_limited = False
+        self.backlog_priority = 255  # the most urgent of what it said waits there
+        self.backlog_until_s = NEVER_S
         self.retired: deque[int] = deque(maxlen=REMEMBERED_EPOCHS)
         self.retired_at_s = NEVER_S
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from udp_mesh.core import wire
 from udp_mesh.core.congestion import AckSample
+from udp_mesh.core.coordination import HOLD_S
 from udp_mesh.core.events import MessageDelivered, Window
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox
@@ -81,6 +82,8 @@ class Receiver:
             return
         hears_us = packet.destination_tag != 0 or any(self._state.tag in hello.heard for hello in packet.beacons)
         self._liveness.heard(peer, path, hears_us=hears_us, now=now)
+        if packet.backlogs:
+            peer.backlog_priority, peer.backlog_until_s = min(packet.backlogs), now + HOLD_S
         if packet.is_unnumbered:
             self._unnumbered(peer, packet, now=now)
         else:

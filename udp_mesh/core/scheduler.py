@@ -65,6 +65,16 @@ class Scheduler:
             else:
                 yield transfer
 
+    def longest_waiting(self, priority: int, can_send: Callable[[Transfer], bool]) -> Transfer | None:
+        """Return the oldest of the transfers less urgent than ``priority`` that can leave now; looks at all of them."""
+        waiting = [
+            transfer
+            for heap in self._heaps.values()
+            for transfer in heap
+            if not transfer.is_done and transfer.message.policy.priority > priority and transfer.peek() is not None
+        ]
+        return next((t for t in sorted(waiting, key=lambda t: t.key[2]) if can_send(t)), None)
+
     def pick(self, can_send: Callable[[Transfer], bool]) -> Transfer | None:
         """Return the most urgent transfer among destinations that ``can_send`` it now; None if there is none."""
         best: Transfer | None = None

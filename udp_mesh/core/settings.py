@@ -80,6 +80,10 @@ class Settings:
     beacon_interval_s: float = 1.0
     queue_bytes: int = 16 * 1024 * 1024
     """Payload waiting or in flight in this node, over all destinations."""
+    floor_ratio: float = 0.0
+    """Share of what leaves that less urgent messages get although more urgent ones wait, 0..0.5."""
+    coordinate: bool = False
+    """Whether this node announces what waits here, and yields to neighbours with something more urgent."""
     queue_messages: int = 4096
     """Messages of one topic waiting or in flight in this node."""
     reassembly_bytes: int = 64 * 1024 * 1024

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from udp_mesh.core import wire
+from udp_mesh.core.coordination import Coordination
 from udp_mesh.core.copies import Copies
 from udp_mesh.core.datagram import CONTROL_PRIORITY, Datagram
 from udp_mesh.core.events import FragmentRetransmitted, FragmentSent
@@ -11,6 +12,7 @@ from udp_mesh.core.messages import Transfer
 from udp_mesh.core.outbox import Outbox
 from udp_mesh.core.peer import Path, Peer
 from udp_mesh.core.settings import BROADCAST_NAME
+from udp_mesh.core.starvation import StarvationFloor
 from udp_mesh.core.state import NodeState
 from udp_mesh.core.wire_runs import encode_run
 
@@ -31,7 +33,9 @@ class Transmitter:
         self._outbox = outbox
         self._broadcast_number = 0
         self._copies = Copies()
-        self._gate = Gate(state)
+        self._coordination = Coordination(state)
+        self._gate = Gate(state, self._coordination)
+        self._floor = StarvationFloor(state.scheduler)
 
     def datagrams(self, *, now: float) -> list[Datagram]:
         """Return what may leave now; with much to send only the first part, so that the caller can receive between."""
@@ -39,9 +43,12 @@ class Transmitter:
         for peer in self._state.peers.values():
             self._control(peer, out, now=now)
         self._outbox.expire(now=now)
-        scheduler = self._state.scheduler
+        scheduler, settings = self._state.scheduler, self._state.settings
         for copied in self._copies.due(now=now):
             scheduler.push(copied)
+        announcement = self._coordination.announcement(now=now)
+        if announcement:
+            out.extend(self.broadcast(announcement))
 
         def can_send(transfer: Transfer) -> bool:
             return self._gate.may_send(transfer, now=now)
@@ -51,20 +58,31 @@ class Transmitter:
             transfer = scheduler.pick(can_send)
             if transfer is None:
                 break
-            if transfer.peer == BROADCAST_NAME:
-                self._send_broadcast(transfer, out, now=now)
-                room -= 1
-                continue
+            starved = self._floor.due(transfer, can_send, ratio=settings.floor_ratio)
+            room -= self._send(starved or transfer, out, limit=1 if settings.floor_ratio else room, now=now)
+            if starved is None:
+                self._floor.on_sent(len(out[-1].data), ratio=settings.floor_ratio)
+        for peer in self._state.peers.values():
+            head = scheduler.head(peer.name) if peer.is_online else None
+            peer.was_limited = head is not None and self._coordination.yield_until_s(head, now=now) <= now
+        return out
+
+    def _send(self, transfer: Transfer, out: list[Datagram], *, limit: int, now: float) -> int:
+        """Build the next packets of a transfer, at most ``limit``; return how many."""
+        priority = transfer.message.policy.priority
+        capacity_bps, count = 0.0, 1
+        if transfer.peer == BROADCAST_NAME:
+            self._send_broadcast(transfer, out, now=now)
+        else:
             peer = self._state.peers[transfer.peer]
-            count = self._run_length(peer, transfer, limit=room, now=now)
+            capacity_bps = peer.congestion.capacity_bps
+            count = self._run_length(peer, transfer, limit=limit, now=now)
             if count > 1:
                 out.append(self._run(peer, transfer, count, now=now))
             else:
                 out.append(self._data(peer, transfer, now=now))
-            room -= count
-        for peer in self._state.peers.values():
-            peer.was_limited = peer.is_online and scheduler.head(peer.name) is not None
-        return out
+        self._coordination.on_sent(priority, len(out[-1].data), capacity_bps=capacity_bps, now=now)
+        return count
 
     def broadcast(self, frames: bytes, *, priority: int = CONTROL_PRIORITY) -> list[Datagram]:
         """Return one unacknowledged datagram per carrier."""
@@ -90,7 +108,7 @@ class Transmitter:
         broadcast = self._state.scheduler.head(BROADCAST_NAME)
         if broadcast is not None:
             times.append(self._gate.opens_at_s(broadcast, now=now))
-        times.append(self._copies.next_timer())
+        times += (self._copies.next_timer(), self._coordination.next_timer())
         return min((time for time in times if time is not None), default=None)
 
     def _peer_timer(self, peer: Peer, *, now: float) -> float | None:

@@ -27,9 +27,10 @@ _ACK = struct.Struct("!BHIIIHB")  # type, largest (48 bits), received_us, delay_
 _ACK_RANGE = struct.Struct("!HH")  # gap, length
 _HELLO = struct.Struct("!BHHIBB")  # type, beacon interval ms, floor (48 bits), tags, length of the name
 _PROBE = struct.Struct("!BB")  # type, tags
+_BACKLOG = struct.Struct("!BB")  # type, priority
 _TAG = struct.Struct("!I")
 _MESSAGE = struct.Struct("!BHI")  # type (FLOOR or PURGED), message id (48 bits)
-TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_PURGED = range(1, 8)
+TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_PURGED, _TYPE_BACKLOG = range(1, 9)
 
 HEADER_BYTES = _HEADER.size
 DATA_BYTES = _DATA.size
@@ -127,6 +128,11 @@ def encode_purged(message_id: int) -> bytes:
     return _MESSAGE.pack(_TYPE_PURGED, message_id >> 32, message_id & _LOW_32)
 
 
+def encode_backlog(priority: int) -> bytes:
+    """Return a frame that says: something of this priority (0..255) waits here for the medium."""
+    return _BACKLOG.pack(_TYPE_BACKLOG, priority)
+
+
 def dissect(datagram: _Buffer) -> Dissection | None:
     """Decode a datagram; None for anything that is not ours or is damaged. Never raises."""
     decoded = decode(datagram)
@@ -166,13 +172,14 @@ def decode(datagram: _Buffer) -> Dissection | BadDatagram:
         tuple(frames.floors),
         tuple(frames.purged),
         frames.pings,
+        tuple(frames.backlogs),
     )
 
 
 class _Frames:
     """Collects the frames of one datagram; raises ``_DecodeError``, ``struct.error`` or ``UnicodeDecodeError``."""
 
-    __slots__ = ("acks", "beacons", "floors", "fragments", "pings", "probes", "purged")
+    __slots__ = ("acks", "backlogs", "beacons", "floors", "fragments", "pings", "probes", "purged")
 
     def __init__(self) -> None:
         self.fragments: list[DataFragment] = []
@@ -182,6 +189,7 @@ class _Frames:
         self.floors: list[int] = []
         self.purged: list[int] = []
         self.pings = 0
+        self.backlogs: list[int] = []
 
     def decode(self, view: memoryview) -> None:
         at, end = HEADER_BYTES, len(view)
@@ -199,6 +207,9 @@ class _Frames:
                 self.probes.extend(tags)
             elif kind == _TYPE_PING:
                 self.pings, at = self.pings + 1, at + 1
+            elif kind == _TYPE_BACKLOG:
+                self.backlogs.append(_BACKLOG.unpack_from(view, at)[1])
+                at += _BACKLOG.size
             elif kind in (_TYPE_FLOOR, _TYPE_PURGED):
                 _kind, high, low = _MESSAGE.unpack_from(view, at)
                 (self.floors if kind == _TYPE_FLOOR else self.purged).append(high << 32 | low)
