@@ -9,8 +9,9 @@ from pathlib import Path
 
 from netlab.kernel.syscalls import CLONE_NEWNET, setns, unshare
 
-# Duplicate address detection and router solicitations are frames that no scenario asked for. The multicast reports of a
-# new interface come at random in their interval, otherwise up to seconds into the scenario, where each would draw a loss.
+# Duplicate address detection and router solicitations are frames that no scenario asked for. The multicast reports of
+# a new interface come at random in their interval, otherwise up to seconds into the scenario, where each would draw a
+# loss.
 _QUIET_IPV6 = {
     "accept_dad": b"0",
     "router_solicitations": b"0",

@@ -55,6 +55,7 @@ def test_the_daemon_gets_the_settings_of_file_and_node_and_every_topic(tmp_path:
         "reliability": "reliable",
         "keep": "latest",
         "offline": "discard",
+        "redundancy": 1,
         "lifetime_s": 5.0,
     }
 
