@@ -13,6 +13,7 @@ import argparse
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -86,7 +87,9 @@ def main() -> int:
     parser.add_argument("--hogs", type=int, default=os.cpu_count() or 2)
     options = parser.parse_args()
     runs, green = [], 0
-    with hog(options.hogs), contextlib.suppress(KeyboardInterrupt):  # Ctrl-C: judge the runs so far
+    for number in (signal.SIGINT, signal.SIGTERM):  # Ctrl-C ends it early, and the runs so far are judged
+        signal.signal(number, signal.default_int_handler)
+    with hog(options.hogs), contextlib.suppress(KeyboardInterrupt):
         for number in range(options.runs):
             passed, took_s, found = run_once(options.boxes)
             green += passed
