@@ -9,12 +9,13 @@ import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from random import Random
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from udp_mesh.core import events, wire
-from udp_mesh.core.mesh import Datagram, MeshCore, Path, new_epoch
+from udp_mesh.core.mesh import Datagram, MeshCore, Path, PeerStatus, new_epoch
 from udp_mesh.core.settings import Settings
 
 HEADERS_BYTES = 42  # Ethernet, IPv4, UDP
@@ -40,6 +41,42 @@ class Link:
     dropped: int = 0
 
 
+class OwnClock(MeshCore):
+    """A core that lives by a clock of its own: at network time t it is told ``offset_s + rate * t``."""
+
+    def __init__(self, offset_s: float, rate: float, settings: Settings, *, epoch: int, rng: Random, now: float):
+        self.offset_s, self.rate = offset_s, rate
+        super().__init__(settings, epoch=epoch, rng=rng, now=self._own(now))
+
+    def _own(self, now: float) -> float:
+        return self.offset_s + self.rate * now
+
+    def receive_datagram(self, data: bytes | memoryview, path: Path, *, now: float) -> None:
+        super().receive_datagram(data, path, now=self._own(now))
+
+    def receive_burst(self, data: bytes | memoryview, segment_bytes: int, path: Path, *, now: float) -> None:
+        super().receive_burst(data, segment_bytes, path, now=self._own(now))
+
+    def datagrams_to_send(self, *, now: float) -> list[Datagram]:
+        return super().datagrams_to_send(now=self._own(now))
+
+    def handle_timer(self, *, now: float) -> None:
+        super().handle_timer(now=self._own(now))
+
+    def next_timer(self) -> float:
+        # A little late, so that rounding never asks for a time at which the core finds nothing to do.
+        return (super().next_timer() - self.offset_s) / self.rate + 1e-6
+
+    def peers(self, *, now: float) -> list[PeerStatus]:
+        return super().peers(now=self._own(now))
+
+    def reconfigure(self, settings: Settings, *, now: float) -> None:
+        super().reconfigure(settings, now=self._own(now))
+
+    def publish(self, topic: str, payload: bytes | memoryview, *, now: float, **options: Any) -> int:
+        return super().publish(topic, payload, now=self._own(now), **options)
+
+
 class Net:
     """Named cores on one carrier. Everything happens in the order of virtual time; the seed decides all chances."""
 
@@ -56,9 +93,13 @@ class Net:
         self._calls: list[tuple[float, int, Callable[[], None]]] = []
         self._order = 0
 
-    def add(self, name: str, **settings: object) -> MeshCore:
-        """Start a node, or start it again with a new epoch and nothing remembered."""
-        core = MeshCore(
+    def add(self, name: str, *, clock: tuple[float, float] = (0.0, 1.0), **settings: object) -> MeshCore:
+        """Start a node, or start it again with a new epoch and nothing remembered.
+
+        ``clock``: seconds by which its clock is ahead at network time 0, and how many of its seconds pass in one.
+        """
+        core = OwnClock(
+            *clock,
             Settings(name=name, **settings),  # type: ignore[arg-type]
             epoch=new_epoch(self.rng),
             rng=Random(self.rng.random()),
