@@ -1,0 +1,42 @@
+"""What the core knows of a carrier: its number, how long a datagram may be there, and perhaps how fast it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+UNLIMITED_BYTES = 65_507
+CONTROL_SHARE = 0.1
+NEVER_S = float("-inf")
+
+
+@dataclass(slots=True)
+class Carrier:
+    """A way to reach other nodes, one datagram at a time, each to one of them or to all."""
+
+    index: int
+    mtu_bytes: int = UNLIMITED_BYTES
+    """Longest datagram that fits, without the carrier's own headers."""
+    rate_bps: float = 0.0
+    """What it carries, where that is known and slow (a serial line); 0: congestion control finds out."""
+    busy_until_s: float = NEVER_S
+    """When what was sent has left; only where the rate is known."""
+    control_at_s: float = NEVER_S
+    """When it may take the next beacon or probe."""
+
+    def on_sent(self, size_bytes: int, *, now: float) -> None:
+        """Charge a datagram to a carrier of known rate."""
+        if self.rate_bps:
+            self.busy_until_s = max(self.busy_until_s, now) + 8 * size_bytes / self.rate_bps
+
+    def control_interval_s(self, size_bytes: int) -> float:
+        """Return how far apart beacons of this size are at least, so that they take a tenth of the carrier."""
+        return 8 * size_bytes / (CONTROL_SHARE * self.rate_bps) if self.rate_bps else 0.0
+
+    def may_control(self, size_bytes: int, *, now: float) -> bool:
+        """Whether a beacon or probe of this size may leave; counts it if so."""
+        if not self.rate_bps:
+            return True
+        if now < self.control_at_s:
+            return False
+        self.control_at_s = now + self.control_interval_s(size_bytes)
+        return True

@@ -1,0 +1,121 @@
+"""By which carrier a peer is reached, where there are several.
+
+Theory of operation.
+* Beacons leave by every carrier under one number, so hearing them tells which paths are alive and what each loses.
+* The path in use changes when it is silent while another is heard, when another is clearly better (much faster by the
+  carriers' known rates, or a fifth of the beacons less lost), or when an acknowledgement is overdue and another path of
+  about the same speed is alive: then the probe already leaves there, and the suspect path rests for a while.
+* Acknowledgements go back the way the packets came, so that both directions choose on their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from udp_mesh.core.carriers import Carrier
+from udp_mesh.core.peer_path import Path
+
+STALE_BEACONS = 1.5
+STALE_AT_LEAST_S = 1.5
+REST_S = 5.0
+LOSS_GAIN = 0.1
+CLEARLY_LESS_LOSS = 0.2
+CLEARLY_FASTER = 4.0
+_NEVER_S = float("-inf")
+_FASTEST_BPS = 1e9  # stands for a rate that nobody knows
+_MOST_MISSED = 64
+
+
+@dataclass(slots=True)
+class PathState:
+    """One carrier on which a peer was heard."""
+
+    path: Path
+    heard_s: float
+    loss_ratio: float = 0.0
+    newest_number: int = -1
+    """Of the broadcasts that arrived here."""
+    rests_until_s: float = _NEVER_S
+
+    def on_broadcast(self, number: int) -> None:
+        """Note which broadcasts arrived: the gaps are losses."""
+        missed = number - self.newest_number - 1
+        if self.newest_number >= 0 and missed >= 0:
+            for _ in range(min(missed, _MOST_MISSED)):
+                self.loss_ratio += LOSS_GAIN * (1 - self.loss_ratio)
+            self.loss_ratio -= LOSS_GAIN * self.loss_ratio
+        self.newest_number = max(self.newest_number, number)
+
+
+class Paths:
+    """The carriers on which one peer was heard, at most one address on each."""
+
+    __slots__ = ("_by_carrier",)
+
+    def __init__(self) -> None:
+        self._by_carrier: dict[int, PathState] = {}
+
+    def heard(self, path: Path, *, now: float) -> PathState:
+        """Note a datagram that came this way; the newest address on a carrier replaces the older one."""
+        state = self._by_carrier.get(path.carrier)
+        if state is None or state.path != path:
+            state = self._by_carrier[path.carrier] = PathState(path, now)
+        state.heard_s = now
+        return state
+
+    def restart(self) -> None:
+        """Forget the numbers of broadcasts: the peer was restarted."""
+        for state in self._by_carrier.values():
+            state.newest_number = -1
+
+    def best(self, current: Path, carriers: Mapping[int, Carrier], *, stale_s: float, now: float) -> Path:
+        """Return the path to use from now on: the current one unless another is clearly better.
+
+        ``stale_s``: silence on a path after which it counts as dead.
+        """
+        mine = self._by_carrier.get(current.carrier)
+        best, best_state = current, mine
+        for state in self._by_carrier.values():
+            if state.path == current or state.path.carrier not in carriers or now - state.heard_s > stale_s:
+                continue
+            if state.rests_until_s > now:
+                continue
+            if best_state is None or best_state.path.carrier not in carriers or now - best_state.heard_s > stale_s:
+                best, best_state = state.path, state
+            elif _is_clearly_better(state, best_state, carriers):
+                best, best_state = state.path, state
+        return best
+
+    def alternative(self, current: Path, carriers: Mapping[int, Carrier], *, stale_s: float, now: float) -> Path | None:
+        """Return where to send while the current path does not answer: another of about its speed that is heard."""
+        mine = self._by_carrier.get(current.carrier)
+        found: PathState | None = None
+        for state in self._by_carrier.values():
+            if state.path == current or state.path.carrier not in carriers or now - state.heard_s > stale_s:
+                continue
+            if state.rests_until_s > now or _rate(current, carriers) > CLEARLY_FASTER * _rate(state.path, carriers):
+                continue
+            if found is None or state.loss_ratio < found.loss_ratio:
+                found = state
+        if found is None:
+            return None
+        if mine is not None:
+            mine.rests_until_s = now + REST_S
+        return found.path
+
+    def describe(self) -> list[tuple[Path, float, float]]:
+        """Return what is known: path, last heard (monotonic seconds), share of its broadcasts that were lost."""
+        return [(state.path, state.heard_s, state.loss_ratio) for state in self._by_carrier.values()]
+
+
+def _rate(path: Path, carriers: Mapping[int, Carrier]) -> float:
+    carrier = carriers.get(path.carrier)
+    return carrier.rate_bps or _FASTEST_BPS if carrier is not None else 0.0
+
+
+def _is_clearly_better(state: PathState, other: PathState, carriers: Mapping[int, Carrier]) -> bool:
+    own_bps, other_bps = _rate(state.path, carriers), _rate(other.path, carriers)
+    if own_bps * CLEARLY_FASTER < other_bps:
+        return False
+    return own_bps > CLEARLY_FASTER * other_bps or state.loss_ratio + CLEARLY_LESS_LOSS < other.loss_ratio
