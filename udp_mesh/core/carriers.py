@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 UNLIMITED_BYTES = 65_507
 CONTROL_SHARE = 0.1
 NEVER_S = float("-inf")
+
+
+class Path(NamedTuple):
+    """Where datagrams go: a carrier (by the number its owner gave it) and an address there.
+
+    The core does not look into the address; the empty one means every node on the carrier.
+    """
+
+    carrier: int
+    address: str
 
 
 @dataclass(slots=True)

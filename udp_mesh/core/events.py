@@ -19,6 +19,8 @@ class DropReason(StrEnum):
     PEER_OFFLINE = "peer_offline"
     PEER_RESTARTED = "peer_restarted"
     PURGED = "purged"
+    PATH_TOO_SMALL = "path_too_small"
+    """It may have arrived; the path that is left cannot carry its fragments once more."""
     STORE_FULL = "store_full"
     STORE_CORRUPTED = "store_corrupted"
 

@@ -26,6 +26,7 @@ from udp_mesh.core.events import (
     PeerUpReason,
 )
 from udp_mesh.core.outbox import Outbox
+from udp_mesh.core.paths import STALE_AT_LEAST_S, STALE_BEACONS
 from udp_mesh.core.peer import NEVER_S, Path, Peer, Session
 from udp_mesh.core.reassembly import Partial
 from udp_mesh.core.state import NodeState
@@ -41,7 +42,6 @@ PROBE_RAREST_S = 10.0
 PROBE_SHARE = 0.02
 PROBE_BYTES = 128  # on the carrier, with its headers
 PROBE_TRAFFIC_WITHIN_S = 600.0
-PATH_STALE_AFTER_S = 1.5
 CONFLICT_AFTER_S = 3.0
 STALL_S = 0.05
 STALL_GRACE_S = 0.1
@@ -107,7 +107,7 @@ class Liveness:
     def _discover(self, epoch: int, name: str, path: Path, *, now: float) -> Peer:
         state = self._state
         session = Session(epoch, state.memory, now=now)
-        peer = Peer(name, session, path, state.new_congestion(now=now), now=now)
+        peer = Peer(name, session, path, state.new_congestion(path.carrier, now=now), now=now)
         state.peers[name] = peer
         self._begin_session(peer, PeerUpReason.DISCOVERED, now=now)
         return peer
@@ -121,7 +121,8 @@ class Liveness:
         self.report_purged(peer, old.reassembler.clear(), is_settled=False, now=now)
         peer.session = Session(epoch, state.memory, now=now)
         self._outbox.on_peer_restarted(peer, now=now)
-        peer.path, peer.path_heard_s = path, now
+        peer.path = path
+        peer.paths.restart()
         peer.congestion.on_return(now=now)
         self._begin_session(peer, PeerUpReason.RESTARTED, now=now)
 
@@ -143,13 +144,39 @@ class Liveness:
             self._come_up(peer, PeerUpReason.RETURNED, now=now)
 
     def _follow_path(self, peer: Peer, path: Path, *, now: float) -> None:
-        if path != peer.path:
-            is_other_carrier = path.carrier != peer.path.carrier and peer.path.carrier in self._state.carriers
-            if is_other_carrier and peer.is_online and now - peer.path_heard_s < PATH_STALE_AFTER_S:
-                return
-            self._state.events.append(PathChanged(now, peer.name, *peer.path, *path))
-            peer.path = path
-        peer.path_heard_s = now
+        peer.paths.heard(path, now=now)
+        if path == peer.path:
+            return
+        if path.carrier == peer.path.carrier or not peer.is_online:
+            self._use_path(peer, path, now=now)
+        else:
+            self._choose_path(peer, now=now)
+
+    def on_broadcast(self, peer: Peer, path: Path, number: int, *, now: float) -> None:
+        """Note that a broadcast of a known epoch came this way: it tells what the path loses."""
+        peer.paths.heard(path, now=now).on_broadcast(number)
+        self._choose_path(peer, now=now)
+
+    def _choose_path(self, peer: Peer, *, now: float) -> None:
+        best = peer.paths.best(peer.path, self._state.carriers, stale_s=_stale_s(peer), now=now)
+        if best != peer.path:
+            self._use_path(peer, best, now=now)
+
+    def on_probe_timeout(self, peer: Peer, *, now: float) -> None:
+        """Turn to another path when an acknowledgement is overdue: the probe leaves there."""
+        other = peer.paths.alternative(peer.path, self._state.carriers, stale_s=_stale_s(peer), now=now)
+        if other is not None:
+            self._use_path(peer, other, now=now)
+
+    def _use_path(self, peer: Peer, path: Path, *, now: float) -> None:
+        state = self._state
+        state.events.append(PathChanged(now, peer.name, *peer.path, *path))
+        before = state.packet_bytes(peer.path.carrier)
+        peer.path = path
+        if state.packet_bytes(path.carrier) != before:
+            peer.congestion = state.new_congestion(path.carrier, now=now)
+            peer.pacer.reset()
+            self._outbox.refit(peer, state.packet_bytes(path.carrier), now=now)
 
     def _come_up(self, peer: Peer, reason: PeerUpReason, *, now: float) -> None:
         peer.is_online = True
@@ -281,3 +308,7 @@ class Liveness:
             self._state.events.append(
                 PartialPurged(now, message_id, peer.name, partial.received_count, partial.fragment_count, is_settled)
             )
+
+
+def _stale_s(peer: Peer) -> float:
+    return max(STALE_AT_LEAST_S, STALE_BEACONS * peer.beacon_interval_s)

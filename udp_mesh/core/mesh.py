@@ -13,6 +13,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from udp_mesh.core.datagram import Datagram
+from udp_mesh.core.carriers import UNLIMITED_BYTES, Carrier
 from udp_mesh.core.events import Event, RefusalReason
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused
@@ -60,9 +61,15 @@ class MeshCore:
         """The settings in force."""
         return self._state.settings
 
-    def add_carrier(self, carrier: int) -> None:
-        """Broadcast on this carrier from now on; its beacon leaves with the next one due."""
-        self._state.carriers[carrier] = None
+    def add_carrier(self, carrier: int, *, mtu_bytes: int = UNLIMITED_BYTES, rate_bps: float = 0.0) -> None:
+        """Broadcast on this carrier from now on; its beacon leaves with the next one due.
+
+        Args:
+            carrier: Its number, as in every :class:`Path`.
+            mtu_bytes: Longest datagram that fits, without the carrier's own headers.
+            rate_bps: What it carries, where that is known and slow; 0 leaves it to congestion control.
+        """
+        self._state.carriers[carrier] = Carrier(carrier, mtu_bytes, rate_bps)
 
     def remove_carrier(self, carrier: int) -> None:
         """Stop using a carrier; peers behind it are heard elsewhere or fall silent."""
@@ -242,5 +249,5 @@ class MeshCore:
         self._now = now
         if window_changes:
             for peer in state.peers.values():
-                peer.congestion = state.new_congestion(now=now)
+                peer.congestion = state.new_congestion(peer.path.carrier, now=now)
                 peer.pacer.reset()

@@ -61,6 +61,11 @@ class Message:
         self.fragment_count = 1 + -(-beyond // self._rest_bytes)
 
     @property
+    def largest_bytes(self) -> int:
+        """Length of its longest datagram, when nothing else is in it."""
+        return wire.HEADER_BYTES + max(self.fragment_bytes(0), self.fragment_bytes(min(1, self.fragment_count - 1)))
+
+    @property
     def is_reliable(self) -> bool:
         """Whether lost fragments are sent again."""
         return self.policy.reliability is Reliability.RELIABLE

@@ -13,10 +13,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from udp_mesh.core.carriers import Carrier
-from udp_mesh.core.peer_path import Path
+from udp_mesh.core.carriers import Carrier, Path
 
-STALE_BEACONS = 1.5
+STALE_BEACONS = 2.5
 STALE_AT_LEAST_S = 1.5
 REST_S = 5.0
 LOSS_GAIN = 0.1

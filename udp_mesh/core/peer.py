@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from udp_mesh.core import wire
 from udp_mesh.core.acks import AckTracker
+from udp_mesh.core.carriers import Path
 from udp_mesh.core.congestion import CongestionControl
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.pacer import Pacer
+from udp_mesh.core.paths import Paths
 from udp_mesh.core.reassembly import Reassembler, ReassemblyMemory
 from udp_mesh.core.recovery import Recovery
 from udp_mesh.core.rtt import RttEstimator
@@ -18,15 +19,7 @@ from udp_mesh.core.rtt import RttEstimator
 REMEMBERED_EPOCHS = 16
 NEVER_S = float("-inf")
 
-
-class Path(NamedTuple):
-    """Where datagrams go: a carrier (an interface, by the number its owner gave it) and an address there.
-
-    The core does not look into the address; the empty one means every node on the carrier.
-    """
-
-    carrier: int
-    address: str
+__all__ = ["NEVER_S", "REMEMBERED_EPOCHS", "Lane", "Path", "Peer", "PeerStatus", "Session"]
 
 
 @dataclass(slots=True)
@@ -52,6 +45,7 @@ class Session:
         self.floor_sent = 0
         self.control: list[bytes] = []  # frames for the next datagram
         self.ping_wanted = False
+        self.reply_path: Path | None = None  # by which the newest packet came that asks for an acknowledgement
         self.probe_credits = 0  # packets that may leave whatever the window says
 
 
@@ -64,7 +58,7 @@ class Peer:
         self.congestion = congestion
         self.pacer = Pacer()
         self.path = path
-        self.path_heard_s = now
+        self.paths = Paths()
         self.is_online = False
         self.is_proven = False  # has shown that it hears us since it was last held offline
         self.needs_evidence = False  # hearing it is not enough: it did not hear us

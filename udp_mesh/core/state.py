@@ -6,6 +6,7 @@ from collections import Counter, deque
 from random import Random
 
 from udp_mesh.core import wire
+from udp_mesh.core.carriers import Carrier
 from udp_mesh.core.congestion import CongestionControl, FixedWindow
 from udp_mesh.core.delay_control import DelayControl
 from udp_mesh.core.events import Event
@@ -28,7 +29,7 @@ class NodeState:
         self.peers: dict[str, Peer] = {}
         self.by_epoch: dict[int, Peer] = {}
         self.broadcast = Lane(BROADCAST_NAME)
-        self.carriers: dict[int, None] = {}
+        self.carriers: dict[int, Carrier] = {}
         self.events: deque[Event] = deque()
         self.counters: Counter[str] = Counter()
         self.next_message_id = 0
@@ -48,8 +49,19 @@ class NodeState:
             next(iter(lane.transfers), self.next_message_id), next(iter(self.broadcast.transfers), self.next_message_id)
         )
 
-    def new_congestion(self, *, now: float) -> CongestionControl:
+    def packet_bytes(self, carrier: int) -> int:
+        """Return the largest datagram for a carrier, before it is sealed."""
+        known = self.carriers.get(carrier)
+        beyond = 0 if known is None else max(0, self.settings.payload_bytes - known.mtu_bytes)
+        return self.settings.packet_bytes - beyond
+
+    @property
+    def broadcast_bytes(self) -> int:
+        """Largest datagram that fits every carrier, before it is sealed."""
+        return min((self.packet_bytes(carrier) for carrier in self.carriers), default=self.settings.packet_bytes)
+
+    def new_congestion(self, carrier: int, *, now: float) -> CongestionControl:
         """Return the congestion control that the settings ask for."""
         if self.settings.window:
-            return FixedWindow(self.settings.window, datagram_bytes=self.settings.packet_bytes)
-        return DelayControl(datagram_bytes=self.settings.packet_bytes, now=now)
+            return FixedWindow(self.settings.window, datagram_bytes=self.packet_bytes(carrier))
+        return DelayControl(datagram_bytes=self.packet_bytes(carrier), now=now)
