@@ -265,7 +265,7 @@ def test_a_second_carrier_takes_over_when_the_first_falls_silent(make_net: Any) 
     core.receive_datagram(beacon, Path(1, "b1"), now=net.now)
     assert core.peers(now=net.now)[0].carrier == 0
     net.stop("b")
-    net.run(1.6)
+    net.run(2.6)
     core.receive_datagram(beacon, Path(1, "b1"), now=net.now)
     assert core.peers(now=net.now)[0].carrier == 1
 

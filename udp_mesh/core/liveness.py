@@ -19,16 +19,15 @@ from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import (
     NameConflict,
     PartialPurged,
-    PathChanged,
     PeerDown,
     PeerDownReason,
     PeerUp,
     PeerUpReason,
 )
 from udp_mesh.core.outbox import Outbox
-from udp_mesh.core.paths import STALE_AT_LEAST_S, STALE_BEACONS
 from udp_mesh.core.peer import NEVER_S, Path, Peer, Session
 from udp_mesh.core.reassembly import Partial
+from udp_mesh.core.routing import Router
 from udp_mesh.core.state import NodeState
 from udp_mesh.core.transmit import Transmitter
 
@@ -64,6 +63,7 @@ class Liveness:
         self._state = state
         self._outbox = outbox
         self._transmitter = transmitter
+        self.router = Router(state, outbox)
         self._beacon_at_s = now
         self._probe_at_s = NEVER_S
         self._answers: dict[int, None] = {}  # tags of nodes that look for us
@@ -134,7 +134,7 @@ class Liveness:
     def heard(self, peer: Peer, path: Path, *, hears_us: bool, now: float) -> None:
         """Note a packet from a known epoch. ``hears_us``: it was addressed to this node or answers its probe."""
         peer.last_heard_s = now
-        self._follow_path(peer, path, now=now)
+        self.router.heard(peer, path, now=now)
         if hears_us:
             peer.is_proven = True
             peer.needs_evidence = False
@@ -142,41 +142,6 @@ class Liveness:
         # Only a probe's answer can give evidence: where nobody probes, hearing the peer has to do.
         if not peer.is_online and not (peer.needs_evidence and self._is_sought(peer, now=now)):
             self._come_up(peer, PeerUpReason.RETURNED, now=now)
-
-    def _follow_path(self, peer: Peer, path: Path, *, now: float) -> None:
-        peer.paths.heard(path, now=now)
-        if path == peer.path:
-            return
-        if path.carrier == peer.path.carrier or not peer.is_online:
-            self._use_path(peer, path, now=now)
-        else:
-            self._choose_path(peer, now=now)
-
-    def on_broadcast(self, peer: Peer, path: Path, number: int, *, now: float) -> None:
-        """Note that a broadcast of a known epoch came this way: it tells what the path loses."""
-        peer.paths.heard(path, now=now).on_broadcast(number)
-        self._choose_path(peer, now=now)
-
-    def _choose_path(self, peer: Peer, *, now: float) -> None:
-        best = peer.paths.best(peer.path, self._state.carriers, stale_s=_stale_s(peer), now=now)
-        if best != peer.path:
-            self._use_path(peer, best, now=now)
-
-    def on_probe_timeout(self, peer: Peer, *, now: float) -> None:
-        """Turn to another path when an acknowledgement is overdue: the probe leaves there."""
-        other = peer.paths.alternative(peer.path, self._state.carriers, stale_s=_stale_s(peer), now=now)
-        if other is not None:
-            self._use_path(peer, other, now=now)
-
-    def _use_path(self, peer: Peer, path: Path, *, now: float) -> None:
-        state = self._state
-        state.events.append(PathChanged(now, peer.name, *peer.path, *path))
-        before = state.packet_bytes(peer.path.carrier)
-        peer.path = path
-        if state.packet_bytes(path.carrier) != before:
-            peer.congestion = state.new_congestion(path.carrier, now=now)
-            peer.pacer.reset()
-            self._outbox.refit(peer, state.packet_bytes(path.carrier), now=now)
 
     def _come_up(self, peer: Peer, reason: PeerUpReason, *, now: float) -> None:
         peer.is_online = True
@@ -253,7 +218,7 @@ class Liveness:
         """Return the beacons, probes and answers that are due."""
         frames = b""
         if self._answers:
-            frames = self._hello(heard=tuple(self._answers)[: wire.MAX_TAGS])
+            frames = self._hello(heard=tuple(self._answers)[: self._max_tags()])
             self._answers.clear()
         elif now >= self._beacon_at_s:
             frames = self._hello()
@@ -261,7 +226,7 @@ class Liveness:
             interval_s = self._state.settings.beacon_interval_s
             self._beacon_at_s = now + interval_s * (1 + BEACON_JITTER * (2 * self._state.rng.random() - 1))
         frames += self._probe(now=now)
-        out = self._transmitter.broadcast(frames) if frames else []
+        out = self._transmitter.broadcast(frames, is_control=True, now=now) if frames else []
         for (path, tag), introduction in self._introductions.items():
             out.append(self._transmitter.stray(path, tag, introduction))
         self._introductions.clear()
@@ -272,7 +237,9 @@ class Liveness:
         if due_s is None or due_s > now:
             return b""
         self._probe_at_s = now
-        return self._hello() + wire.encode_probe([peer.session.tag for peer in self._sought(now=now)][: wire.MAX_TAGS])
+        return self._hello() + wire.encode_probe(
+            [peer.session.tag for peer in self._sought(now=now)][: self._max_tags()]
+        )
 
     def _sought(self, *, now: float) -> list[Peer]:
         return [peer for peer in self._state.peers.values() if self._is_sought(peer, now=now)]
@@ -291,12 +258,18 @@ class Liveness:
         interval_s = min(_probe_interval_s(peer) for peer in sought)  # a carrier carries what its best path does
         return self._probe_at_s + (interval_s if is_quick else max(interval_s, PROBE_SLOW_INTERVAL_S))
 
+    def _max_tags(self) -> int:
+        """How many tags an answer and a probe may hold, each, if both leave in one datagram."""
+        room = self._state.broadcast_bytes - 2 * len(self._hello()) - wire.HEADER_BYTES - 2
+        return min(wire.MAX_TAGS, room // 8)
+
     def _hello(self, *, heard: tuple[int, ...] = ()) -> bytes:
         state = self._state
         floor = min((next(iter(p.lane.transfers), state.next_message_id) for p in state.peers.values()), default=0)
+        slowest_s = max((c.control_interval_s(PROBE_BYTES) for c in state.carriers.values()), default=0.0)
         return wire.encode_hello(
             name=state.settings.name,
-            beacon_interval_s=state.settings.beacon_interval_s,
+            beacon_interval_s=max(state.settings.beacon_interval_s, slowest_s),
             floor=min(floor, state.floor(state.broadcast)),
             heard=heard,
         )
@@ -308,7 +281,3 @@ class Liveness:
             self._state.events.append(
                 PartialPurged(now, message_id, peer.name, partial.received_count, partial.fragment_count, is_settled)
             )
-
-
-def _stale_s(peer: Peer) -> float:
-    return max(STALE_AT_LEAST_S, STALE_BEACONS * peer.beacon_interval_s)

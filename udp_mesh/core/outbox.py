@@ -63,7 +63,7 @@ class Outbox:
         """
         state = self._state
         encoded = topic.encode()
-        if not 0 < len(encoded) <= min(wire.MAX_TOPIC_BYTES, state.settings.packet_bytes // 2):
+        if not 0 < len(encoded) <= min(wire.MAX_TOPIC_BYTES, state.broadcast_bytes // 2):
             raise Refused(RefusalReason.BAD_TOPIC)
         if not 0 <= policy.priority <= 255 or (policy.lifetime_s is not None and policy.lifetime_s <= 0):
             raise Refused(RefusalReason.BAD_POLICY)
@@ -96,7 +96,7 @@ class Outbox:
     def _lanes(self, message: Message, to: str, *, now: float) -> list[Lane]:
         state = self._state
         if to == BROADCAST_NAME:
-            if message.fragment_count == 1:
+            if message.fragment_count == 1 and message.largest_bytes <= state.broadcast_bytes:
                 return [state.broadcast]
             peers = [p for p in state.peers.values() if self._takes(p, message, now=now)]
             if not peers:

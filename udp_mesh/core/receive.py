@@ -86,7 +86,7 @@ class Receiver:
         if packet.backlogs:
             peer.backlog_priority, peer.backlog_until_s = min(packet.backlogs), now + HOLD_S
         if packet.is_broadcast:
-            self._liveness.on_broadcast(peer, path, packet.packet_number, now=now)
+            self._liveness.router.on_broadcast(peer, path, packet.packet_number, now=now)
         elif packet.is_ack_eliciting:
             peer.session.reply_path = path
         if packet.is_unnumbered:
@@ -221,7 +221,7 @@ class Receiver:
         if not len(recovery) or recovery.probe_at_s > now:
             return
         packet = recovery.on_probe_timeout(now=now)
-        self._liveness.on_probe_timeout(peer, now=now)
+        self._liveness.router.on_probe_timeout(peer, now=now)
         repeated = tuple(part for part in packet.parts if part[0].message.is_reliable)
         self._outbox.retry(packet._replace(parts=repeated), now=now)
         if self._state.scheduler.head(peer.name) is None:

@@ -22,6 +22,7 @@ _MAX_RUN_BYTES = 63_000
 FLOOR_EVERY_MESSAGES = 64
 _FLOOR_BYTES = len(wire.encode_floor(0))
 _MIN_ACK_ROOM_BYTES = 64
+MAX_BROADCAST_WAIT_S = 1.0
 _PING_PRIORITY = 255  # when all is silent, data is worth repeating before a ping
 
 
@@ -84,8 +85,13 @@ class Transmitter:
         self._coordination.on_sent(priority, len(out[-1].data), capacity_bps=capacity_bps, now=now)
         return count
 
-    def broadcast(self, frames: bytes, *, priority: int = CONTROL_PRIORITY) -> list[Datagram]:
-        """Return one unacknowledged datagram per carrier."""
+    def broadcast(
+        self, frames: bytes, *, priority: int = CONTROL_PRIORITY, is_control: bool = False, now: float
+    ) -> list[Datagram]:
+        """Return one unacknowledged datagram per carrier, but for slow ones that have no room for it now.
+
+        ``is_control``: beacons and probes, which take only a part of a slow carrier.
+        """
         header = wire.encode_header(
             epoch=self._state.epoch,
             destination_tag=0,
@@ -93,7 +99,15 @@ class Transmitter:
             flags=wire.FLAG_UNNUMBERED,
         )
         self._broadcast_number += 1
-        return [Datagram(Path(carrier, ""), header + frames, 0, priority) for carrier in self._state.carriers]
+        data = header + frames
+        out = []
+        for index, carrier in self._state.carriers.items():
+            if carrier.busy_until_s - now > MAX_BROADCAST_WAIT_S:
+                self._state.counters["broadcasts_too_late"] += 1
+            elif not is_control or carrier.may_control(len(data), now=now):
+                carrier.on_sent(len(data), now=now)
+                out.append(Datagram(Path(index, ""), data, 0, priority))
+        return out
 
     def stray(self, path: Path, tag: int, frames: bytes) -> Datagram:
         """Return a unicast to somebody with whom there is no session; it is never acknowledged."""
@@ -132,21 +146,27 @@ class Transmitter:
             return
         frames = session.control
         session.control = []
+        path = peer.path
+        if session.acks.has_pending and session.reply_path is not None:
+            path = session.reply_path if session.reply_path.carrier in self._state.carriers else path
         if session.acks.has_pending:
-            room_bytes = self._state.settings.packet_bytes - wire.HEADER_BYTES - sum(map(len, frames))
+            room_bytes = self._state.packet_bytes(path.carrier) - wire.HEADER_BYTES - sum(map(len, frames))
             frames.append(session.acks.take(room_bytes=room_bytes, now=now))
         parts: list[tuple[Transfer, int]] | None = None
         if session.ping_wanted:
             session.ping_wanted = False
             frames.append(wire.PING)
             parts = []
-        out.append(self._packet(peer, frames, parts, priority=_PING_PRIORITY, ack_now=True, now=now))
+        out.append(self._packet(peer, frames, parts, priority=_PING_PRIORITY, ack_now=True, path=path, now=now))
 
     def _run_length(self, peer: Peer, transfer: Transfer, *, limit: int, now: float) -> int:
         """Return how many packets of nothing but this message may leave now; less than 2 is no run."""
         session, congestion = peer.session, peer.congestion
         message, index = transfer.message, transfer.peek()
+        carrier = self._state.carriers.get(peer.path.carrier)
         if index is None or index + 2 >= message.fragment_count or message.leaves_twice:
+            return 1
+        if carrier is not None and carrier.rate_bps:  # one by one, so that something urgent need not wait for a run
             return 1
         packet_bytes = wire.HEADER_BYTES + message.fragment_bytes(index)
         window = (congestion.cwnd_bytes - session.recovery.in_flight_bytes) // packet_bytes
@@ -202,7 +222,8 @@ class Transmitter:
             self._copies.note_sent(following, index, now=now)
             parts.append((following, index))
             following = scheduler.head(peer.name) if room > wire.DATA_BYTES else None
-        if session.acks.has_pending and room >= _MIN_ACK_ROOM_BYTES:
+        returns_here = session.reply_path is None or session.reply_path.carrier == peer.path.carrier
+        if session.acks.has_pending and room >= _MIN_ACK_ROOM_BYTES and returns_here:
             ack = session.acks.take(room_bytes=room, now=now)
             frames.append(ack)
             room -= len(ack)
@@ -234,9 +255,11 @@ class Transmitter:
         *,
         priority: int,
         ack_now: bool,
+        path: Path | None = None,
         now: float,
     ) -> Datagram:
         """Number a packet and follow it if it is to be acknowledged (``parts`` is not None)."""
+        path = path or peer.path
         session = peer.session
         number = session.recovery.take_packet_number()
         header = wire.encode_header(
@@ -247,7 +270,10 @@ class Transmitter:
         )
         data = b"".join((header, *frames))
         self._follow(peer, number, 1, len(data), None if parts is None else tuple(parts), priority, now=now)
-        return Datagram(peer.path, data, 0, priority if parts else CONTROL_PRIORITY)
+        carrier = self._state.carriers.get(path.carrier)
+        if carrier is not None:
+            carrier.on_sent(len(data), now=now)
+        return Datagram(path, data, 0, priority if parts else CONTROL_PRIORITY)
 
     @staticmethod
     def _follow(
@@ -273,7 +299,7 @@ class Transmitter:
         number = self._broadcast_number
         self._note_fragment(transfer, 0, number, now=now)
         frames = b"".join(transfer.message.fragment(0))
-        datagrams = self.broadcast(frames, priority=transfer.message.policy.priority)
+        datagrams = self.broadcast(frames, priority=transfer.message.policy.priority, now=now)
         out.extend(datagrams)
         self._gate.on_broadcast(max((len(d.data) for d in datagrams), default=0), now=now)
         transfer.advance(number)
