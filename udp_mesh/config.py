@@ -20,12 +20,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
-from udp_mesh import config_checks
+from udp_mesh import config_carriers, config_checks
+from udp_mesh.config_carriers import CarrierConfig
 from udp_mesh.core import wire
 from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("carriers", "neighbours")
+NOT_YET = ("neighbours",)
 NOT_YET_TOPIC: tuple[str, ...] = ()
 
 
@@ -47,6 +48,8 @@ class Config:
     """UDP port, the same on every node."""
     interfaces: tuple[str, ...] = ()
     """Names of the interfaces to use; empty: every one that is up and has IPv4 and broadcast, except loopback."""
+    carriers: tuple[CarrierConfig, ...] = config_carriers.DEFAULT
+    """What to send and receive by, in a file tables [[carriers]]; see :class:`CarrierConfig`."""
     payload_bytes: int = 1400
     """Largest datagram, without IP and UDP headers, 256..65000; all of the path must carry it."""
     window: int = 0
@@ -231,6 +234,7 @@ _CHECKS: dict[str, config_checks.Check] = {
     "name": config_checks.name,
     "port": config_checks.number(1, 65535, whole=True),
     "interfaces": config_checks.interfaces,
+    "carriers": config_carriers.check,
     "key": config_checks.key,
     "payload_bytes": config_checks.number(256, 65000, whole=True),
     "window": config_checks.number(0, 100_000, whole=True),
@@ -262,6 +266,7 @@ _TOPIC_CHECKS: dict[str, config_checks.Check] = {
 def describe(config: Config) -> dict[str, object]:
     """Return the configuration as plain values, for people and JSON."""
     values: dict[str, object] = {f.name: getattr(config, f.name) for f in fields(config) if f.name != "topics"}
+    values["carriers"] = config_carriers.describe(config.carriers)
     values["key"] = [f"id {key_id(key):02x}" for key in config.key]  # never the key itself
     values["topics"] = {name: describe_policy(policy) for name, policy in config.topics.items()}
     return values

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from udp_mesh.config import Config, ConfigError, default_socket, load
 from udp_mesh.core.mesh import MeshCore, new_epoch
@@ -69,6 +70,9 @@ def _serve(config: Config, arguments: argparse.Namespace) -> int:
     node = Node(replace(config, socket=path), core, server, feed)
     try:
         node.open_carriers()
+        for device in (carrier.device for carrier in config.carriers if carrier.device):
+            if not Path(device).exists():
+                print(f"udp-mesh: {device} is not there; it is used once it is", file=sys.stderr, flush=True)
         node.open_store()
         _stop_on_signals(node)
         if arguments.ready_fd is not None:

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from udp_mesh.config_carriers import CarrierKind
 from udp_mesh.core.mesh import Datagram, Path
-from udp_mesh.io.interfaces import Interface
+from udp_mesh.io.carrier import CarrierFacts
 from udp_mesh.io.udp import UdpCarrier
 
 WINDOW_BYTES = 1_000_000
@@ -26,14 +27,14 @@ def carrier(counters: Counter[str]) -> Iterator[UdpCarrier]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    loopback = Interface(socket.if_nametoindex("lo"), "lo", "127.0.0.1", "127.255.255.255")
+    loopback = CarrierFacts(1, CarrierKind.UDP, "lo", socket.if_nametoindex("lo"), "127.0.0.1", "127.255.255.255")
     carrier = UdpCarrier(loopback, port, counters)
     yield carrier
     carrier.close()
 
 
 def to_itself(carrier: UdpCarrier, data: bytes, segment_bytes: int = 0) -> Datagram:
-    return Datagram(Path(carrier.interface.index, "127.0.0.1"), data, segment_bytes)
+    return Datagram(Path(carrier.facts.index, "127.0.0.1"), data, segment_bytes)
 
 
 def received(carrier: UdpCarrier, count: int) -> list[bytes]:
@@ -41,7 +42,7 @@ def received(carrier: UdpCarrier, count: int) -> list[bytes]:
     datagrams: list[bytes] = []
     while len(datagrams) < count and select.select([carrier], [], [], 2.0)[0]:
         for data, size, path, _now in carrier.receive():
-            assert path == Path(carrier.interface.index, "127.0.0.1")
+            assert path == Path(carrier.facts.index, "127.0.0.1")
             datagrams += [bytes(data[at : at + size]) for at in range(0, len(data), size)]
     return datagrams
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING
 
-from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.carriers import UNLIMITED_BYTES, Carrier
+from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import Event, RefusalReason
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused

@@ -80,8 +80,9 @@ class Paths:
                 continue
             if state.rests_until_s > now:
                 continue
-            if best_state is None or best_state.path.carrier not in carriers or now - best_state.heard_s > stale_s:
-                best, best_state = state.path, state
+            is_usable = best_state is not None and best_state.path.carrier in carriers
+            if best_state is None or not is_usable or now - best_state.heard_s > stale_s:
+                best, best_state = state.path, state  # noqa: SIM114 (for another reason)
             elif _is_clearly_better(state, best_state, carriers):
                 best, best_state = state.path, state
         return best

@@ -12,6 +12,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
+from typing import cast
 
 from udp_mesh import local_wire
 from udp_mesh.config import Config
@@ -20,12 +21,13 @@ from udp_mesh.core import wire
 from udp_mesh.core.events import Event, MessageDelivered, MessageDropped, PeerDown, PeerUp, StoreProblem
 from udp_mesh.core.mesh import Datagram, MeshCore
 from udp_mesh.io import compression
+from udp_mesh.io.carrier import CarrierSocket
+from udp_mesh.io.carriers import open_carrier
 from udp_mesh.io.durable import Durable
 from udp_mesh.io.feed import EventFeed
-from udp_mesh.io.interfaces import list_interfaces
+from udp_mesh.io.interfaces import list_carriers
 from udp_mesh.io.requests import Requests
 from udp_mesh.io.server import Connection, LocalServer
-from udp_mesh.io.udp import UdpCarrier
 from udp_mesh.local_wire import FrameType
 
 RESCAN_INTERVAL_S = 1.0
@@ -41,7 +43,8 @@ class Node:
         self._server = server
         self._feed = feed
         self._counters: Counter[str] = Counter()
-        self._carriers: dict[int, UdpCarrier] = {}
+        self._carriers: dict[int, CarrierSocket] = {}
+        self._full: set[int] = set()  # carriers of which we want to know when they take more
         self._selector = selectors.SelectSelector()
         self._durable = Durable(core, server, config, self._report)
         self._watched_store: int | None = None
@@ -72,18 +75,22 @@ class Node:
             OSError: The port is in use.
         """
         self._rescan_at_s = time.monotonic() + RESCAN_INTERVAL_S
-        present = {interface.index: interface for interface in list_interfaces(self._config.interfaces)}
-        for index in [i for i, carrier in self._carriers.items() if present.get(i) != carrier.interface]:
-            self._core.remove_carrier(index)
-            carrier = self._carriers.pop(index)
-            self._selector.unregister(carrier)
-            carrier.close()
-        for index, interface in present.items():
+        present = {facts.index: facts for facts in list_carriers(self._config)}
+        for index in [i for i, c in self._carriers.items() if c.is_broken or present.get(i) != c.facts]:
+            self._close_carrier(index)
+        for index, facts in present.items():
             if index not in self._carriers:
-                carrier = UdpCarrier(interface, self._config.port, self._counters, marks=self._config.dscp)
+                carrier = open_carrier(facts, self._config, self._counters)
                 self._carriers[index] = carrier
                 self._selector.register(carrier, selectors.EVENT_READ)
-                self._core.add_carrier(index)
+                self._core.add_carrier(index, mtu_bytes=facts.mtu_bytes, rate_bps=facts.rate_bps)
+
+    def _close_carrier(self, index: int) -> None:
+        self._core.remove_carrier(index)
+        carrier = self._carriers.pop(index)
+        self._full.discard(index)
+        self._selector.unregister(carrier)
+        carrier.close()
 
     def _rescan(self) -> None:
         try:
@@ -117,11 +124,7 @@ class Node:
         return min(times)
 
     def _ready(self, source: object, events: int) -> None:
-        if isinstance(source, UdpCarrier):
-            if events & selectors.EVENT_READ:
-                for data, segment_bytes, path, now in source.receive():
-                    self._core.receive_burst(data, segment_bytes, path, now=now)
-        elif isinstance(source, LocalServer):
+        if isinstance(source, LocalServer):
             connection = source.accept()
             if connection is not None:
                 self._requests.welcome(connection)
@@ -133,6 +136,14 @@ class Node:
             self._wake_read.recv(64)
         elif source == self._watched_store:
             self._durable.completed()
+        elif events & selectors.EVENT_READ:
+            self._receive(cast(CarrierSocket, source))
+
+    def _receive(self, carrier: CarrierSocket) -> None:
+        for data, segment_bytes, path, now in carrier.receive():
+            self._core.receive_burst(data, segment_bytes, path, now=now)
+        if carrier.is_broken:
+            self._close_carrier(carrier.facts.index)  # the next scan opens it again if it can
 
     def _serve(self, connection: Connection) -> None:
         while (frame := connection.next_frame()) is not None:
@@ -161,17 +172,17 @@ class Node:
                 self._serve(connection)
 
     def _is_blocked(self) -> bool:
-        return any(carrier.backlog for carrier in self._carriers.values())
+        return any(carrier.is_blocked for carrier in self._carriers.values())
 
     def _dispatch(self, datagrams: list[Datagram]) -> None:
         for index, carrier in self._carriers.items():
             mine = [datagram for datagram in datagrams if datagram.path.carrier == index]
-            if not mine and not carrier.backlog:
+            if not mine and not carrier.wants_write:
                 continue
-            was_blocked = bool(carrier.backlog)
             carrier.send(mine, window_bytes=self._core.window_bytes(index))
-            if bool(carrier.backlog) != was_blocked:
-                wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if carrier.backlog else 0)
+            if carrier.wants_write != (index in self._full):
+                self._full ^= {index}
+                wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if index in self._full else 0)
                 self._selector.modify(carrier, wanted)
 
     def _watch_store(self) -> None:

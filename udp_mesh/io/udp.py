@@ -12,9 +12,10 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 
+from udp_mesh.config_carriers import CarrierKind
 from udp_mesh.core.mesh import Datagram, Path
+from udp_mesh.io.carrier import CarrierFacts
 from udp_mesh.io.dscp import tos_of
-from udp_mesh.io.interfaces import Interface
 
 _UDP_SEGMENT = 103
 _UDP_GRO = 104
@@ -35,15 +36,17 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(4)
 
 
 class UdpCarrier:
-    """One interface's socket."""
+    """One interface's socket, IPv4 or IPv6."""
 
-    def __init__(self, interface: Interface, port: int, counters: Counter[str], *, marks: bool = False) -> None:
+    is_broken = False
+
+    def __init__(self, facts: CarrierFacts, port: int, counters: Counter[str], *, marks: bool = False) -> None:
         """Open and bind; ``marks``: whether the IP header tells the priority (:mod:`udp_mesh.io.dscp`).
 
         Raises:
             OSError: The port is in use, or the interface is gone.
         """
-        self.interface = interface
+        self.facts = facts
         self.backlog: list[Datagram] = []  # refused by the full socket; leaves before anything else
         self._port = port
         self._counters = counters
@@ -52,7 +55,9 @@ class UdpCarrier:
         self._has_segmentation = True
         self._send_buffer_bytes = _SEND_BUFFER_BYTES
         self._buffer = memoryview(bytearray(_MAX_DATAGRAM_BYTES))
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+        self._is_ipv6 = facts.kind is CarrierKind.UDP6
+        family = socket.AF_INET6 if self._is_ipv6 else socket.AF_INET
+        self.socket = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
         try:
             self._configure()
             self.socket.bind(("", port))
@@ -62,14 +67,31 @@ class UdpCarrier:
 
     def _configure(self) -> None:
         sock = self.socket
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, self.interface.name.encode() + b"\0")
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, self.facts.name.encode() + b"\0")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        if self._is_ipv6:
+            number = self.facts.interface_index
+            group = socket.inet_pton(socket.AF_INET6, self.facts.broadcast) + number.to_bytes(4, sys.byteorder)
+            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group)
+            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_IF, number)
+            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_LOOP, 0)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         _set_buffer(sock, socket.SO_RCVBUF, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
         try:
             sock.setsockopt(socket.IPPROTO_UDP, _UDP_GRO, 1)
         except OSError:
             self._counters["without_receive_offload"] += 1
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether the socket was full."""
+        return bool(self.backlog)
+
+    @property
+    def wants_write(self) -> bool:
+        """Whether the socket was full."""
+        return bool(self.backlog)
 
     def fileno(self) -> int:
         """The socket's descriptor."""
@@ -83,7 +105,9 @@ class UdpCarrier:
         budget = _BATCH_BYTES
         while budget > 0:
             try:
-                size, ancillary, _flags, (address, port) = self.socket.recvmsg_into([self._buffer], _ANCILLARY_BYTES)
+                size, ancillary, _flags, (address, port, *_scope) = self.socket.recvmsg_into(
+                    [self._buffer], _ANCILLARY_BYTES
+                )
             except BlockingIOError:
                 return
             except OSError as error:
@@ -94,7 +118,7 @@ class UdpCarrier:
             if port != self._port:
                 self._counters["bad_source_port"] += 1
                 continue
-            path = self._heard(address, now)
+            path = self._heard(address.partition("%")[0], now)
             yield self._buffer[:size], _segment_bytes(ancillary) or size, path, now
 
     def _heard(self, address: str, now: float) -> Path:
@@ -102,7 +126,7 @@ class UdpCarrier:
         if len(heard) >= _MAX_HEARD and address not in heard:
             heard.clear()
         heard[address] = now
-        return Path(self.interface.index, address)
+        return Path(self.facts.index, address)
 
     def send(self, datagrams: list[Datagram], *, window_bytes: int) -> None:
         """Send datagrams of this carrier in order; what the socket does not take now waits in :attr:`backlog`.
@@ -170,15 +194,17 @@ class UdpCarrier:
         first = burst[0]
         if first.segment_bytes and not self._has_segmentation:
             raise OSError(errno.EOPNOTSUPP, "no segmentation")
-        address = first.path.address or self.interface.broadcast
+        address = first.path.address or self.facts.broadcast
         is_alive = time.monotonic() - self._heard_at_s.get(first.path.address, -1e9) < _CONFIRM_WITHIN_S
         flags = _MSG_CONFIRM if is_alive else 0  # the neighbour answers: the kernel need not ask again
         ancillary = []
         if len(burst) > 1 or first.segment_bytes:
             ancillary.append((socket.IPPROTO_UDP, _UDP_SEGMENT, _length(first).to_bytes(2, sys.byteorder)))
         if self.marks:
-            ancillary.append((socket.IPPROTO_IP, socket.IP_TOS, tos_of(first.priority).to_bytes(4, sys.byteorder)))
-        self.socket.sendmsg([datagram.data for datagram in burst], ancillary, flags, (address, self._port))
+            level = (socket.IPPROTO_IPV6, socket.IPV6_TCLASS) if self._is_ipv6 else (socket.IPPROTO_IP, socket.IP_TOS)
+            ancillary.append((*level, tos_of(first.priority).to_bytes(4, sys.byteorder)))
+        target = (address, self._port, 0, self.facts.interface_index) if self._is_ipv6 else (address, self._port)
+        self.socket.sendmsg([datagram.data for datagram in burst], ancillary, flags, target)
 
     def close(self) -> None:
         """Close the socket."""
