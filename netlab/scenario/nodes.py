@@ -57,6 +57,28 @@ class TopicSettings(StrictModel):
     redundancy: Annotated[int, Field(ge=1, le=8)] | None = None
 
 
+class CarrierSettings(StrictModel):
+    """One of the daemon's carriers; what belongs to which kind is checked here as the daemon does."""
+
+    kind: Literal["udp", "udp6", "ethernet", "serial"]
+    interfaces: tuple[str, ...] | None = None
+    device: str | None = None
+    baud: int | None = None
+    mtu_bytes: Annotated[WholeBytes, Field(ge=200, le=65_000)] | None = Field(default=None, alias="mtu")
+    rate_bps: Annotated[float, Quantity(RATE, minimum=300.0, maximum=1e9)] | None = Field(default=None, alias="rate")
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        is_serial = self.kind == "serial"
+        if is_serial != (self.device is not None):
+            raise ValueError("a serial carrier needs device: /dev/..., and no other has one")
+        wrong = ("interfaces",) if is_serial else ("baud", "mtu_bytes", "rate_bps")
+        given = [name for name in wrong if getattr(self, name) is not None]
+        if given:
+            raise ValueError(f"a carrier of kind {self.kind} has no {given[0]}")
+        return self
+
+
 class MeshSettings(StrictModel):
     """Settings of the udp_mesh daemon, at top level or in a node (which wins); None leaves the daemon's default.
 
@@ -73,6 +95,7 @@ class MeshSettings(StrictModel):
     dscp: Switch | None = None
     store_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 40)] | None = None
     store_age_s: StoreAge | None = Field(default=None, alias="store_age")
+    carriers: Annotated[tuple[CarrierSettings, ...], Field(min_length=1)] | None = None
     topics: dict[Topic, TopicSettings] | None = None
     coordinate: Switch | None = None
     floor: Annotated[float, Quantity(RATIO, maximum=0.5)] | None = None

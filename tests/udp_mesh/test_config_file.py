@@ -106,3 +106,34 @@ def test_settings_change_at_run_time_with_the_same_checks() -> None:
 def test_any_table_is_accepted_or_refused_with_its_keys(table: dict[str, object]) -> None:
     with contextlib.suppress(ConfigError):
         config.parse(table, source="f")
+
+
+def test_carriers_are_read() -> None:
+    lines = (
+        '[[carriers]]\nkind = "udp"\ninterfaces = ["wlan0"]\n[[carriers]]\nkind = "serial"\ndevice = "/dev/ttyUSB0"\n'
+    )
+    read = config.parse(config.tomllib.loads(lines + "baud = 9600\nmtu_bytes = 255\n"), source="f")
+    radio, serial = read.carriers
+    assert (radio.kind, radio.interfaces) == ("udp", ("wlan0",))
+    assert (serial.device, serial.baud, serial.mtu_bytes, serial.rate_bps) == ("/dev/ttyUSB0", 9600, 255, 7680)
+    assert [carrier.kind for carrier in Config().carriers] == ["udp"]
+    json.dumps(config.describe(read))
+
+
+@pytest.mark.parametrize(
+    ("carriers", "problem"),
+    [
+        ([], r"has to be tables like \[\[carriers\]\]"),
+        ([{"kind": "lora"}], r"\[0\]\.kind has to be one of udp, udp6, ethernet, serial"),
+        ([{"kind": "udp", "device": "/dev/x"}], r"\[0\]\.device is no key of kind udp; known are kind, interfaces"),
+        ([{"kind": "serial"}], r"\[0\] needs device, such as /dev/ttyUSB0"),
+        ([{"kind": "udp"}, {"kind": "serial", "device": "tty"}], r"\[1\]\.device has to be a path"),
+        ([{"kind": "serial", "device": "/d", "baud": 9601}], r"\[0\]\.baud has to be a speed that serial lines have"),
+        ([{"kind": "serial", "device": "/d", "mtu_bytes": 199}], r"from 200 to 65000"),
+        ([{"kind": "serial", "device": "/d", "rate_bps": True}], r"\[0\]\.rate_bps has to be a number"),
+        ([{"kind": "serial", "device": "/d"}, {"kind": "serial", "device": "/d"}], "names one device twice"),
+    ],
+)
+def test_mistakes_in_carriers_say_what_is_expected(carriers: list[dict[str, object]], problem: str) -> None:
+    with pytest.raises(ConfigError, match=f"f: carriers: .*{problem}"):
+        config.parse({"carriers": carriers}, source="f")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 UNLIMITED_BYTES = 65_507
 CONTROL_SHARE = 0.1
+MAX_BROADCAST_WAIT_S = 1.0  # behind what a carrier of known rate has still to send
 NEVER_S = float("-inf")
 
 

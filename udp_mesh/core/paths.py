@@ -73,28 +73,23 @@ class Paths:
 
         ``stale_s``: silence on a path after which it counts as dead.
         """
-        mine = self._by_carrier.get(current.carrier)
-        best, best_state = current, mine
+        best = self._by_carrier.get(current.carrier)
+        chosen = current
         for state in self._by_carrier.values():
-            if state.path == current or state.path.carrier not in carriers or now - state.heard_s > stale_s:
+            if state.path == current or state.rests_until_s > now or _is_dead(state, carriers, now - stale_s):
                 continue
-            if state.rests_until_s > now:
-                continue
-            is_usable = best_state is not None and best_state.path.carrier in carriers
-            if best_state is None or not is_usable or now - best_state.heard_s > stale_s:
-                best, best_state = state.path, state  # noqa: SIM114 (for another reason)
-            elif _is_clearly_better(state, best_state, carriers):
-                best, best_state = state.path, state
-        return best
+            if best is None or _is_dead(best, carriers, now - stale_s) or _is_clearly_better(state, best, carriers):
+                best, chosen = state, state.path
+        return chosen
 
     def alternative(self, current: Path, carriers: Mapping[int, Carrier], *, stale_s: float, now: float) -> Path | None:
         """Return where to send while the current path does not answer: another of about its speed that is heard."""
         mine = self._by_carrier.get(current.carrier)
         found: PathState | None = None
         for state in self._by_carrier.values():
-            if state.path == current or state.path.carrier not in carriers or now - state.heard_s > stale_s:
+            if state.path == current or state.rests_until_s > now or _is_dead(state, carriers, now - stale_s):
                 continue
-            if state.rests_until_s > now or _rate(current, carriers) > CLEARLY_FASTER * _rate(state.path, carriers):
+            if _rate(current, carriers) > CLEARLY_FASTER * _rate(state.path, carriers):
                 continue
             if found is None or state.loss_ratio < found.loss_ratio:
                 found = state
@@ -107,6 +102,10 @@ class Paths:
     def describe(self) -> list[tuple[Path, float, float]]:
         """Return what is known: path, last heard (monotonic seconds), share of its broadcasts that were lost."""
         return [(state.path, state.heard_s, state.loss_ratio) for state in self._by_carrier.values()]
+
+
+def _is_dead(state: PathState, carriers: Mapping[int, Carrier], heard_since_s: float) -> bool:
+    return state.path.carrier not in carriers or state.heard_s < heard_since_s
 
 
 def _rate(path: Path, carriers: Mapping[int, Carrier]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Container
 from dataclasses import dataclass, field
 
 from udp_mesh.core import wire
@@ -74,6 +75,11 @@ class Peer:
         self.backlog_until_s = NEVER_S
         self.retired: deque[int] = deque(maxlen=REMEMBERED_EPOCHS)
         self.retired_at_s = NEVER_S
+
+    def ack_path(self, carriers: Container[int]) -> Path:
+        """Return by which path an acknowledgement goes: back the way the newest packet came."""
+        reply = self.session.reply_path
+        return self.path if reply is None or reply.carrier not in carriers else reply
 
     @property
     def name(self) -> str:

@@ -6,7 +6,7 @@ from collections import Counter, deque
 from random import Random
 
 from udp_mesh.core import wire
-from udp_mesh.core.carriers import Carrier
+from udp_mesh.core.carriers import Carrier, Path
 from udp_mesh.core.congestion import CongestionControl, FixedWindow
 from udp_mesh.core.delay_control import DelayControl
 from udp_mesh.core.events import Event
@@ -54,6 +54,17 @@ class NodeState:
         known = self.carriers.get(carrier)
         beyond = 0 if known is None else max(0, self.settings.payload_bytes - known.mtu_bytes)
         return self.settings.packet_bytes - beyond
+
+    def is_rated(self, path: Path) -> bool:
+        """Whether what the path's carrier takes is known beforehand."""
+        carrier = self.carriers.get(path.carrier)
+        return carrier is not None and carrier.rate_bps > 0
+
+    def charge(self, path: Path, size_bytes: int, *, now: float) -> None:
+        """Charge a datagram to its carrier."""
+        carrier = self.carriers.get(path.carrier)
+        if carrier is not None:
+            carrier.on_sent(size_bytes, now=now)
 
     @property
     def broadcast_bytes(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from udp_mesh.core import wire
+from udp_mesh.core.carriers import MAX_BROADCAST_WAIT_S
 from udp_mesh.core.coordination import Coordination
 from udp_mesh.core.copies import Copies
 from udp_mesh.core.datagram import CONTROL_PRIORITY, Datagram
@@ -22,7 +23,6 @@ _MAX_RUN_BYTES = 63_000
 FLOOR_EVERY_MESSAGES = 64
 _FLOOR_BYTES = len(wire.encode_floor(0))
 _MIN_ACK_ROOM_BYTES = 64
-MAX_BROADCAST_WAIT_S = 1.0
 _PING_PRIORITY = 255  # when all is silent, data is worth repeating before a ping
 
 
@@ -49,7 +49,7 @@ class Transmitter:
             scheduler.push(copied)
         announcement = self._coordination.announcement(now=now)
         if announcement:
-            out.extend(self.broadcast(announcement))
+            out.extend(self.broadcast(announcement, is_control=True, now=now))
 
         def can_send(transfer: Transfer) -> bool:
             return self._gate.may_send(transfer, now=now)
@@ -62,7 +62,7 @@ class Transmitter:
             starved = self._floor.due(transfer, can_send, ratio=settings.floor_ratio)
             room -= self._send(starved or transfer, out, limit=1 if settings.floor_ratio else room, now=now)
             if starved is None:
-                self._floor.on_sent(len(out[-1].data), ratio=settings.floor_ratio)
+                self._floor.on_sent(len(out[-1].data) if out else 0, ratio=settings.floor_ratio)
         for peer in self._state.peers.values():
             head = scheduler.head(peer.name) if peer.is_online else None
             peer.was_limited = head is not None and self._coordination.yield_until_s(head, now=now) <= now
@@ -85,13 +85,8 @@ class Transmitter:
         self._coordination.on_sent(priority, len(out[-1].data), capacity_bps=capacity_bps, now=now)
         return count
 
-    def broadcast(
-        self, frames: bytes, *, priority: int = CONTROL_PRIORITY, is_control: bool = False, now: float
-    ) -> list[Datagram]:
-        """Return one unacknowledged datagram per carrier, but for slow ones that have no room for it now.
-
-        ``is_control``: beacons and probes, which take only a part of a slow carrier.
-        """
+    def broadcast(self, frames: bytes, *, priority: int = 0, is_control: bool = False, now: float) -> list[Datagram]:
+        """Return one unacknowledged datagram per carrier that has room; ``is_control`` takes but a part of slow ones."""
         header = wire.encode_header(
             epoch=self._state.epoch,
             destination_tag=0,
@@ -99,10 +94,9 @@ class Transmitter:
             flags=wire.FLAG_UNNUMBERED,
         )
         self._broadcast_number += 1
-        data = header + frames
-        out = []
+        data, out = header + frames, []
         for index, carrier in self._state.carriers.items():
-            if carrier.busy_until_s - now > MAX_BROADCAST_WAIT_S:
+            if carrier.busy_until_s > now + MAX_BROADCAST_WAIT_S:
                 self._state.counters["broadcasts_too_late"] += 1
             elif not is_control or carrier.may_control(len(data), now=now):
                 carrier.on_sent(len(data), now=now)
@@ -146,9 +140,7 @@ class Transmitter:
             return
         frames = session.control
         session.control = []
-        path = peer.path
-        if session.acks.has_pending and session.reply_path is not None:
-            path = session.reply_path if session.reply_path.carrier in self._state.carriers else path
+        path = peer.ack_path(self._state.carriers) if session.acks.has_pending else peer.path
         if session.acks.has_pending:
             room_bytes = self._state.packet_bytes(path.carrier) - wire.HEADER_BYTES - sum(map(len, frames))
             frames.append(session.acks.take(room_bytes=room_bytes, now=now))
@@ -163,10 +155,9 @@ class Transmitter:
         """Return how many packets of nothing but this message may leave now; less than 2 is no run."""
         session, congestion = peer.session, peer.congestion
         message, index = transfer.message, transfer.peek()
-        carrier = self._state.carriers.get(peer.path.carrier)
         if index is None or index + 2 >= message.fragment_count or message.leaves_twice:
             return 1
-        if carrier is not None and carrier.rate_bps:  # one by one, so that something urgent need not wait for a run
+        if self._state.is_rated(peer.path):  # one by one, so that something urgent need not wait for a run
             return 1
         packet_bytes = wire.HEADER_BYTES + message.fragment_bytes(index)
         window = (congestion.cwnd_bytes - session.recovery.in_flight_bytes) // packet_bytes
@@ -222,7 +213,7 @@ class Transmitter:
             self._copies.note_sent(following, index, now=now)
             parts.append((following, index))
             following = scheduler.head(peer.name) if room > wire.DATA_BYTES else None
-        returns_here = session.reply_path is None or session.reply_path.carrier == peer.path.carrier
+        returns_here = peer.ack_path(self._state.carriers).carrier == peer.path.carrier
         if session.acks.has_pending and room >= _MIN_ACK_ROOM_BYTES and returns_here:
             ack = session.acks.take(room_bytes=room, now=now)
             frames.append(ack)
@@ -259,7 +250,6 @@ class Transmitter:
         now: float,
     ) -> Datagram:
         """Number a packet and follow it if it is to be acknowledged (``parts`` is not None)."""
-        path = path or peer.path
         session = peer.session
         number = session.recovery.take_packet_number()
         header = wire.encode_header(
@@ -270,9 +260,8 @@ class Transmitter:
         )
         data = b"".join((header, *frames))
         self._follow(peer, number, 1, len(data), None if parts is None else tuple(parts), priority, now=now)
-        carrier = self._state.carriers.get(path.carrier)
-        if carrier is not None:
-            carrier.on_sent(len(data), now=now)
+        path = path or peer.path
+        self._state.charge(path, len(data), now=now)
         return Datagram(path, data, 0, priority if parts else CONTROL_PRIORITY)
 
     @staticmethod

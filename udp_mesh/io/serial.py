@@ -90,7 +90,8 @@ class SerialCarrier:
                 self._counters["serial_bad_frames"] += 1
             elif target in (self._address, _EVERYBODY):
                 yield memoryview(datagram), len(datagram), Path(self.facts.index, source.hex()), now
-        self._counters["serial_damaged"] += self._deframer.damaged - before
+        if self._deframer.damaged > before:
+            self._counters["serial_damaged"] += self._deframer.damaged - before
 
     def send(self, datagrams: list[Datagram], *, window_bytes: int) -> None:
         """Queue datagrams for the line and write what it takes."""
