@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
 from netlab.scenario.mesh import BatmanSettings, MeshWord
-from netlab.scenario.quantities import DURATION, RATIO, SIZE, PositiveSeconds, Quantity, describe
+from netlab.scenario.quantities import DURATION, RATE, RATIO, SIZE, PositiveSeconds, Quantity, describe
 from netlab.scenario.radio import node_radio
 from netlab.scenario.rate_limit import RateLimit
 

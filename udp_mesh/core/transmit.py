@@ -86,7 +86,7 @@ class Transmitter:
         return count
 
     def broadcast(self, frames: bytes, *, priority: int = 0, is_control: bool = False, now: float) -> list[Datagram]:
-        """Return one unacknowledged datagram per carrier that has room; ``is_control`` takes but a part of slow ones."""
+        """Return one unacknowledged datagram per carrier with room; ``is_control`` takes but a part of slow ones."""
         header = wire.encode_header(
             epoch=self._state.epoch,
             destination_tag=0,
