@@ -28,6 +28,8 @@ QUANTILES = (0.01, 0.05, 0.10, 0.25, 0.50, 0.75, 0.90, 0.95, 0.99)
 TIMER_S = 30e-6
 #: For sampled figures: a departure that falls together with an arrival goes either way.
 GRAIN_RATIO = 0.0005
+#: The same for a short series: the fate of this many frames.
+GRAIN_FRAMES = 2
 RATE_TOLERANCE = 0.001
 #: What the agreement promises of the bounds of all quantiles.
 PROMISED_S = 0.0002
@@ -120,7 +122,7 @@ def _ratios(cell: Cell, phase: int, must: Reference, parts: Mapping[str, Sequenc
 
 def _ratio(expected: Expected, series: Sequence[int], by_theory: bool) -> Verdict:
     error = math.sqrt(expected.variance / len(series))
-    bound = ERRORS * error + (0.0 if by_theory else GRAIN_RATIO)
+    bound = ERRORS * error + (0.0 if by_theory else max(GRAIN_RATIO, GRAIN_FRAMES / len(series)))
     return Verdict(expected.mean, sum(series) / len(series), bound, error)
 
 
