@@ -75,7 +75,8 @@ def test_seeded_losses_are_the_same_in_every_run(run: Run) -> None:
     first, second = (run("lossy", "air", "duration=3s") for _ in range(2))
     for topic in ("telemetry", "image"):
         assert _latency_s(first, topic) == pytest.approx(_latency_s(second, topic), abs=TOLERANCE_S)
-    assert first.summary["links"] == second.summary["links"]
+    # Not all frames: whether the very last one is still under way at the end is decided by less than a microsecond.
+    assert [row["lost"] for row in first.summary["links"]] == [row["lost"] for row in second.summary["links"]]
     other = run("lossy", "air", "duration=3s", "seed=2")
     assert _latency_s(other, "image") != pytest.approx(_latency_s(first, "image"), abs=TOLERANCE_S)
 
