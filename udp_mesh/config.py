@@ -26,7 +26,7 @@ from udp_mesh.core import wire
 from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("neighbours",)
+NOT_YET = ("bridge", "neighbours")
 NOT_YET_TOPIC: tuple[str, ...] = ()
 
 

@@ -137,6 +137,30 @@ def test_raw_ethernet_needs_no_addresses(hosts: tuple[Host, Host]) -> None:
         assert not [name for name in counters if name.startswith(("send_E", "bad_", "ethernet_"))], counters
 
 
+GARBAGE = """
+import os, random, socket
+rng = random.Random(5)
+sender = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM)
+for _ in range(300):
+    data = rng.randbytes(rng.randrange(0, 200))
+    if rng.random() < 0.5:
+        data = rng.randrange(0, 300).to_bytes(2, "big") + b"uM\\x01" + data
+    sender.sendto(data, ("mesh0", 0x88B5, 0, 0, b"\\xff" * 6))
+"""
+
+
+def test_garbage_on_the_ethernet_is_counted_and_harms_nobody(hosts: tuple[Host, Host]) -> None:
+    a, b = hosts
+    join(a, b, "mesh0")
+    for host in hosts:
+        host.start('interfaces = ["mesh0"]\n[[carriers]]\nkind = "ethernet"\n')
+    subprocess.run([*b.enter, sys.executable, "-c", GARBAGE], check=True)
+    with exchange(a, b) as sender:
+        counters = sender.stats()["counters"]
+        refused = sum(count for name, count in counters.items() if name.startswith(("bad_", "ethernet_bad")))
+        assert refused >= 200, counters  # some are what they seem: a datagram of a stranger, too long a padding
+
+
 def test_a_second_interface_takes_over_after_a_silent_cut(hosts: tuple[Host, Host]) -> None:
     a, b = hosts
     join(a, b, "mesh0", network="10.9.0")
