@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import array
 import fcntl
-import ipaddress
 import os
 import socket
 from pathlib import Path
@@ -106,7 +105,7 @@ def _udp6(probe: socket.socket, index: int, number: int, name: str, flags: int) 
         digits, _number, _prefix, scope, state, interface = line.split()
         is_usable = int(scope, 16) == _LINK_LOCAL_SCOPE and not int(state, 16) & _NOT_USABLE_FLAGS
         if interface == name and is_usable:
-            address = str(ipaddress.IPv6Address(bytes.fromhex(digits)))
+            address = socket.inet_ntop(socket.AF_INET6, bytes.fromhex(digits))
             mtu_bytes = min(_mtu(probe, name) - _IP6_UDP_BYTES, _MAX_UDP_BYTES)
             return CarrierFacts(index, CarrierKind.UDP6, name, number, address, MULTICAST_GROUP, mtu_bytes)
     return None
