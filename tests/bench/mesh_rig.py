@@ -1,7 +1,7 @@
 """Two cores of udp_mesh over the lab's own medium, in virtual time and one process: a minute of mission in seconds.
 
-The medium is that of the ``air`` engine (netem's order: loss, then the queue, then rate and delay). Nodes may be
-stalled: what reaches them meanwhile waits, as it does in a socket whose process does not run.
+The medium is that of the ``air`` engine (netem's order: loss, then the queue, then rate and delay). Nodes and the
+medium may be stalled: what reaches them meanwhile waits, as it does in a socket whose process does not run.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ class Rig:
         self.queued: list[tuple[float, Verdict]] = []
         self._heap: list[tuple[float, int, Callable[[], None]]] = []
         self._order = 0
+        self._medium_stalls = (stalls or {}).get("medium", ())
         self.nodes = {}
         for name in "ab":
             core = MeshCore(
@@ -136,7 +137,14 @@ class Rig:
         while (event := node.core.next_event()) is not None:
             node.events.append(event)
 
+    def _medium_runs_at(self, when_s: float) -> float:
+        return max((end for begin, end in self._medium_stalls if begin <= when_s < end), default=when_s)
+
     def _offer(self, node: Node, data: bytes) -> None:
+        runs_at_s = self._medium_runs_at(self.now)
+        if runs_at_s > self.now:
+            self.at(runs_at_s, lambda: self._offer(node, data))
+            return
         outcomes: list[Outcome] = []
         self.pairs[node.name].offer(FRAME_HEADERS + data, self.now, outcomes)
         other = self.nodes["ab"[node.name == "a"]]
@@ -149,7 +157,9 @@ class Rig:
                 if node.name == "a":
                     self.frames += 1
                     self.frame_bytes += len(frame)
-                self.at(due_s + HOST_DELAY_S, lambda payload=payload: self._arrive(other, payload))  # type: ignore[misc]
+                self.at(
+                    self._medium_runs_at(due_s) + HOST_DELAY_S, lambda payload=payload: self._arrive(other, payload)
+                )  # type: ignore[misc]
 
     def _arrive(self, node: Node, data: bytes) -> None:
         node.waiting.append(data)
