@@ -13,7 +13,8 @@ class AckSample:
     """What one acknowledgement says about a path. ``one_way_s`` is meaningful up to a constant, None without a sample.
 
     ``newest_bytes``: size of the packet that gave ``one_way_s``; ``received_us``: its arrival, see :class:`Ack`.
-    ``is_limited``: the window, not the application, held the sender back. ``lost_packets``: found lost with it.
+    ``in_flight_bytes``: what is still on its way. ``is_limited``: the window, not the application, held the sender
+    back. ``lost_packets``: found lost with it.
     """
 
     acked_bytes: int
@@ -24,6 +25,7 @@ class AckSample:
     newest_bytes: int
     rate_bps: float
     is_limited: bool
+    in_flight_bytes: int
 
 
 class CongestionControl(Protocol):

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from udp_mesh.core.messages import Transfer
 
-SPREAD_S = 0.0025
+SPREAD_S = 0.002
 
 
 class Copies:

@@ -12,8 +12,10 @@ waiting there, so flows share fairly. What differs from the paper:
 * On fast links a packet is too small a unit: there ``UNIT_S`` worth of the rate waits.
 * While no queue is seen for several rounds the steps double, up to ``MAX_GROWTH`` of the window: a link that got
   faster is found.
-* Our own standing queue would pass for the path's base delay once every older sample is forgotten. So every
-  ``DRAIN_INTERVAL_S`` one round keeps so much less in flight that the queue runs empty.
+* Our own standing queue would pass for the path's base delay once every older sample is forgotten. And a radio that
+  falls to a lower rate takes longer for each packet, which looks like a queue but is none. So every
+  ``DRAIN_INTERVAL_S``, or after ``BUSY_ROUNDS`` with a queue that will not go, one round keeps so much less in flight
+  that the queue runs empty, and the least delay seen then is the base from there on.
 * Loss alone says nothing on a radio. Only loss of more than ``HEAVY_LOSS_RATIO`` over whole windows shrinks the window.
 * Packets leave at ``PACING_GAIN`` times window per round trip. A few urgent packets may exceed window and pace.
 """
@@ -27,10 +29,10 @@ from udp_mesh.core.congestion import AckSample
 from udp_mesh.core.rtt import RttEstimator
 from udp_mesh.core.windowed import WindowedMinimum
 
-TARGET_PACKETS = 0.6
-UNIT_S = 0.00075
+TARGET_PACKETS = 0.5
+UNIT_S = 0.0005
 GAIN = 0.5
-PACING_GAIN = 1.25
+PACING_GAIN = 1.05
 START_GROWTH = 1.5
 START_GAIN = START_GROWTH * math.log(START_GROWTH) / (START_GROWTH - 1)  # so it grows in an even stream, not in bursts
 MAX_GROWTH = 0.125
@@ -38,6 +40,7 @@ CALM_ROUNDS = 3
 BASE_WINDOW_S = 10.0
 DRAIN_INTERVAL_S = 1.0
 DRAIN_ROUNDS = 10
+BUSY_ROUNDS = 4
 FULL_SHARE = 0.9
 MAX_AIRTIME_S = 0.008
 MIN_DATAGRAM_BYTES = 256  # less would be half headers
@@ -77,19 +80,22 @@ class DelayControl:
         self._queue_seen = False
         self._velocity = 1.0
         self._calm_rounds = 0
+        self._busy_rounds = 0
         self._drain_at_s = now
+        self._drained_s: tuple[float, float] | None = None  # least one-way delay and round trip while draining
         self._skips_rounds = 0
         self._acked_packets = 0
         self._lost_packets = 0
         self._round_ends_s = now
         self._round_delay_s = float("inf")
         self._round_bytes = 0
+        self._round_flight_bytes = 0
         self._limited_bytes = 0
 
     @property
     def cwnd_bytes(self) -> int:
         """Bytes that may be in flight."""
-        return int(max(self._cwnd - self._held_back_bytes, MIN_PACKETS * self.datagram_bytes))
+        return int(max(self._cwnd - self._held_back_bytes, self.datagram_bytes))
 
     @property
     def capacity_bps(self) -> float:
@@ -111,6 +117,7 @@ class DelayControl:
         self._lost_packets += sample.lost_packets
         self._acked_bytes += sample.acked_bytes
         self._round_bytes += sample.acked_bytes
+        self._round_flight_bytes = max(self._round_flight_bytes, sample.in_flight_bytes + sample.acked_bytes)
         if sample.is_limited:
             self._limited_bytes += sample.acked_bytes
         if sample.rate_bps:
@@ -133,6 +140,8 @@ class DelayControl:
         self._arrivals.append((sample.received_us, self._acked_bytes))
         if is_full:
             self._full_at_s = now
+            if self._drained_s is not None:
+                self._drained_s = (min(self._drained_s[0], one_way_s), min(self._drained_s[1], rtt.latest_s))
         elif now - self._full_at_s < DRAIN_INTERVAL_S:
             return
         self._standing.append(one_way_s - base_s)
@@ -171,6 +180,7 @@ class DelayControl:
         self._round_ends_s = now + self._rtt_s
         self._round_delay_s = float("inf")
         self._round_bytes = 0
+        self._round_flight_bytes = 0
         self._limited_bytes = 0
 
     def _end_round(self, *, now: float) -> None:
@@ -180,6 +190,8 @@ class DelayControl:
         self._held_back_bytes = 0.0
         if self._skips_rounds:
             self._skips_rounds -= 1
+            if not self._skips_rounds:
+                self._end_drain(now=now)
         elif not self._in_slow_start and delay_s < float("inf"):
             self._move(delay_s, is_limited=is_limited)
             self._drain(delay_s, now=now)
@@ -197,6 +209,7 @@ class DelayControl:
         target = self._target_bytes()
         if waiting > target / 2:
             self._calm_rounds, self._velocity = 0, 1.0
+        self._busy_rounds = self._busy_rounds + 1 if waiting > 2 * target else 0
         if waiting < target and not is_limited:
             return
         if waiting <= target / 2:
@@ -210,11 +223,20 @@ class DelayControl:
         self._cwnd += max(step, -self._cwnd / 2)
 
     def _drain(self, delay_s: float, *, now: float) -> None:
-        if now < self._drain_at_s:
+        if now < self._drain_at_s and self._busy_rounds < BUSY_ROUNDS:
             return
+        self._busy_rounds = 0
+        self._drained_s = (float("inf"), float("inf"))
         self._drain_at_s = now + max(DRAIN_INTERVAL_S, DRAIN_ROUNDS * self._rtt_s)
-        self._held_back_bytes = self._cwnd * delay_s / self._rtt_s + self.datagram_bytes
+        unused = max(0.0, self._cwnd - self._round_flight_bytes)
+        self._held_back_bytes = unused + self._cwnd * delay_s / self._rtt_s + self.datagram_bytes
         self._skips_rounds = 2
+
+    def _end_drain(self, *, now: float) -> None:
+        if self._drained_s is not None and self._drained_s[0] < float("inf"):
+            self._base.raise_to(self._drained_s[0], now=now)
+            self._rtt_base.raise_to(self._drained_s[1], now=now)
+        self._drained_s = None
 
     def _check_loss(self) -> None:
         total = self._acked_packets + self._lost_packets
@@ -233,6 +255,7 @@ class DelayControl:
         for samples in (self._base, self._small_base, self._rtt_base, self._standing, self._arrivals):
             samples.clear()
         self.queue_delay_s = self._held_back_bytes = 0.0
-        self._velocity, self._calm_rounds = 1.0, 0
+        self._velocity, self._calm_rounds, self._busy_rounds = 1.0, 0, 0
+        self._drained_s = None
         self._acked_packets = self._lost_packets = 0
         self._begin_round(now=now)

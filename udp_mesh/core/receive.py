@@ -187,6 +187,7 @@ class Receiver:
             newest_bytes=outcome.newest_bytes,
             rate_bps=outcome.rate_bps,
             is_limited=was_limited,
+            in_flight_bytes=peer.session.recovery.in_flight_bytes,
         )
         peer.congestion.on_ack(sample, rtt=peer.session.rtt, now=now)
         if now - peer.last_window_event_s >= WINDOW_EVENT_INTERVAL_S:

@@ -27,6 +27,12 @@ class WindowedMinimum:
             samples.popleft()
         return samples[0][1]
 
+    def raise_to(self, value: float, *, now: float) -> None:
+        """Forget everything below ``value``, which counts as a sample of now."""
+        if self._samples and self._samples[0][1] < value:
+            self._samples.clear()
+            self._samples.append((now, value))
+
     def clear(self) -> None:
         """Forget everything."""
         self._samples.clear()
