@@ -114,7 +114,7 @@ def test_a_delay_that_ends_within_the_round_is_no_queue() -> None:
     assert control.cwnd_bytes > 0.9 * before
 
 
-def test_a_queue_that_stays_shrinks_the_window_but_never_by_more_than_half_a_step() -> None:
+def test_more_delay_shrinks_the_window_step_by_step_until_it_proves_to_be_no_queue() -> None:
     control, rtt = settled()
     windows = [control._cwnd]
     for step in range(150):
@@ -124,7 +124,8 @@ def test_a_queue_that_stays_shrinks_the_window_but_never_by_more_than_half_a_ste
     changes = [(now, later / sooner) for now, (sooner, later) in enumerate(pairwise(windows)) if later < sooner]
     assert all(ratio >= 0.5 for _step, ratio in changes)
     assert min(b - a for (a, _), (b, _) in pairwise(changes)) >= 20  # 40 ms, a round trip
-    assert windows[-1] < windows[0] / 2
+    assert 0.3 * windows[0] < windows[-1] < 0.8 * windows[0]
+    assert control.queue_delay_s < 0.001  # draining changed nothing, so the path itself is longer
 
 
 def test_small_packets_do_not_count_as_the_base_of_large_ones() -> None:
