@@ -117,7 +117,7 @@ def test_a_delay_that_ends_within_the_round_is_no_queue() -> None:
 def test_more_delay_shrinks_the_window_step_by_step_until_it_proves_to_be_no_queue() -> None:
     control, rtt = settled()
     windows = [control._cwnd]
-    for step in range(150):
+    for step in range(450):
         now = 0.8 + 0.002 * step
         control.on_ack(sample(0.08, now=now), rtt=rtt, now=now)
         windows.append(control._cwnd)
