@@ -1,13 +1,14 @@
-"""Who is there: beacons, names and epochs, online and offline, and the search for peers that fell silent.
+"""Who is there: names and epochs, online and offline.
 
 Theory of operation.
 * A beacon (HELLO, broadcast) ties an epoch to a name. A new epoch of a known name is a restart; the old is retired.
+  When this node says who it is: :mod:`udp_mesh.core.beacons`.
+* In a small team a newcomer is greeted at once by unicast. In a larger one those greetings would be many: it gets our
+  broadcast answer, and the greeting goes ahead of the first packet that there is for it.
 * A peer that owes an answer and is silent for 0.5 s (or three probe timeouts, if longer) is offline; an idle one after
   three missed beacons. Nothing is sent to it by unicast then: the kernel would start address resolution, whose retries
   are a second apart, and the peer's return would wait for them.
-* While this node has, or had in the last ten minutes, something for an offline peer, it broadcasts PROBE frames: every
-  25 ms for two minutes, then each second; one for all such peers. Whom it names answers by broadcast. No back-off.
-  On slow paths less often: probes take at most 2 % of what the path carried; if it was never full, one per round trip.
+* While this node has something for an offline peer, it searches for it: :mod:`udp_mesh.core.search`.
 * Any packet revives a peer. One exception: a peer that was heard although it did not answer does not hear us; it is
   searched for, and returns when a unicast or an answer shows that it does.
 """
@@ -15,7 +16,7 @@ Theory of operation.
 from __future__ import annotations
 
 from udp_mesh.core import wire
-from udp_mesh.core.datagram import Datagram
+from udp_mesh.core.beacons import ANYBODY, Beacons
 from udp_mesh.core.events import (
     NameConflict,
     PartialPurged,
@@ -25,35 +26,20 @@ from udp_mesh.core.events import (
     PeerUpReason,
 )
 from udp_mesh.core.outbox import Outbox
-from udp_mesh.core.peer import NEVER_S, Path, Peer, Session
+from udp_mesh.core.peer import Path, Peer, Session
 from udp_mesh.core.reassembly import Partial
 from udp_mesh.core.routing import Router
+from udp_mesh.core.search import PROBE_TRAFFIC_WITHIN_S, Search
 from udp_mesh.core.state import NodeState
+from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.transmit import Transmitter
 
 MAX_PEERS = 1024
-BEACON_JITTER = 0.1
+SMALL_TEAM = 2  # peers that are greeted by unicast
 MISSED_BEACONS = 3.5  # three and some jitter
-PROBE_INTERVAL_S = 0.025
-PROBE_QUICK_FOR_S = 120.0
-PROBE_SLOW_INTERVAL_S = 1.0
-PROBE_RAREST_S = 10.0
-PROBE_SHARE = 0.02
-PROBE_BYTES = 128  # on the carrier, with its headers
-PROBE_TRAFFIC_WITHIN_S = 600.0
 CONFLICT_AFTER_S = 3.0
 STALL_S = 0.05
 STALL_GRACE_S = 0.1
-INTRODUCTION_INTERVAL_S = 0.05
-_MAX_INTRODUCTIONS = 256
-
-
-def _probe_interval_s(peer: Peer) -> float:
-    """Return how often to look for a peer: probes stay below a small part of what its path was seen to carry."""
-    capacity_bps, rtt = peer.congestion.capacity_bps, peer.session.rtt
-    unknown_s = rtt.min_s if rtt.has_sample else 0.0
-    fair_s = 8 * PROBE_BYTES / (PROBE_SHARE * capacity_bps) if capacity_bps else unknown_s
-    return min(max(PROBE_INTERVAL_S, fair_s), PROBE_RAREST_S)
 
 
 class Liveness:
@@ -64,11 +50,8 @@ class Liveness:
         self._outbox = outbox
         self._transmitter = transmitter
         self.router = Router(state, outbox)
-        self._beacon_at_s = now
-        self._probe_at_s = NEVER_S
-        self._answers: dict[int, None] = {}  # tags of nodes that look for us
-        self._introductions: dict[tuple[Path, int], bytes] = {}
-        self._introduced_at_s: dict[Path, float] = {}
+        self._beacons = Beacons(state, transmitter, now=now)
+        self._search = Search(state)
 
     # -- what was heard
 
@@ -128,7 +111,8 @@ class Liveness:
 
     def _begin_session(self, peer: Peer, reason: PeerUpReason, *, now: float) -> None:
         self._state.by_epoch[peer.session.epoch] = peer
-        peer.session.control.append(self._hello())
+        is_small = len(self._state.peers) <= SMALL_TEAM
+        (peer.session.control if is_small else peer.session.greeting).append(self._beacons.hello())
         self._come_up(peer, reason, now=now)
 
     def heard(self, peer: Peer, path: Path, *, hears_us: bool, now: float) -> None:
@@ -138,35 +122,37 @@ class Liveness:
         if hears_us:
             peer.is_proven = True
             peer.needs_evidence = False
+            peer.session.greeting.clear()
             peer.waiting_since_s = now if len(peer.session.recovery) else None
         # Only a probe's answer can give evidence: where nobody probes, hearing the peer has to do.
-        if not peer.is_online and not (peer.needs_evidence and self._is_sought(peer, now=now)):
+        if not peer.is_online and not (peer.needs_evidence and self._search.is_sought(peer, now=now)):
             self._come_up(peer, PeerUpReason.RETURNED, now=now)
 
     def _come_up(self, peer: Peer, reason: PeerUpReason, *, now: float) -> None:
         peer.is_online = True
         peer.last_heard_s = now
         peer.waiting_since_s = None
-        peer.session.ping_wanted = True  # shows the peer that we hear it, and measures the round trip
+        is_small = len(self._state.peers) <= SMALL_TEAM
+        if is_small or peer.lane.transfers or now - peer.last_traffic_s <= PROBE_TRAFFIC_WITHIN_S:
+            peer.session.ping_wanted = True  # shows the peer that we hear it, and measures the round trip
         peer.session.reassembler.touch(now=now)
         peer.congestion.on_return(now=now)
         peer.pacer.reset()
         self._state.events.append(PeerUp(now, peer.name, peer.session.epoch, peer.path.address, reason))
 
-    def on_probe(self, epoch: int, tags: tuple[int, ...]) -> None:
-        """Answer a node that looks for us."""
+    def on_probe(self, epoch: int, tags: tuple[int, ...], heard: tuple[int, ...], *, now: float) -> None:
+        """Answer a node that looks for us, or that asks everybody except those that it has ``heard``."""
         if self._state.tag in tags:
-            self._answers[wire.tag_of(epoch)] = None
+            self._beacons.answer(epoch)
+        elif ANYBODY in tags and self._state.tag not in heard:
+            peer = self._state.by_epoch.get(epoch)
+            if peer is None or not peer.session.control:  # else a greeting is about to leave
+                self._beacons.answer_in_turn(epoch, now=now)
+        self._search.heard_searching(epoch, tags, now=now)
 
     def introduce(self, epoch: int, path: Path, *, ask: bool, now: float) -> None:
         """Tell a stranger, or a peer that knows an older epoch of us, who we are; ``ask`` for its name, too."""
-        if now - self._introduced_at_s.get(path, NEVER_S) < INTRODUCTION_INTERVAL_S:
-            return
-        if len(self._introduced_at_s) >= _MAX_INTRODUCTIONS:
-            self._introduced_at_s.clear()
-        self._introduced_at_s[path] = now
-        tag = wire.tag_of(epoch)
-        self._introductions[path, tag] = self._hello() + (wire.encode_probe([tag]) if ask else b"")
+        self._beacons.introduce(epoch, path, ask=ask, now=now)
 
     # -- time
 
@@ -206,73 +192,20 @@ class Liveness:
     def next_timer(self, *, now: float) -> float:
         """Return when to call :meth:`check` or :meth:`datagrams` next."""
         times = [self._offline_at_s(peer) for peer in self._state.peers.values() if peer.is_online]
-        times.append(self._beacon_at_s)
-        probe_at_s = self._next_probe_at_s(now=now)
+        times.append(self._beacons.next_timer())
+        probe_at_s = self._search.next_timer(now=now)
         if probe_at_s is not None:
             times.append(probe_at_s)
-        if self._answers or self._introductions:
-            times.append(NEVER_S)
         return min(times)
 
     def datagrams(self, *, now: float) -> list[Datagram]:
         """Return the beacons, probes and answers that are due."""
-        frames = b""
-        if self._answers:
-            frames = self._hello(heard=tuple(self._answers)[: self._max_tags()])
-            self._answers.clear()
-        elif now >= self._beacon_at_s:
-            frames = self._hello()
-        if now >= self._beacon_at_s:
-            interval_s = self._state.settings.beacon_interval_s
-            self._beacon_at_s = now + interval_s * (1 + BEACON_JITTER * (2 * self._state.rng.random() - 1))
-        frames += self._probe(now=now)
+        frames = self._beacons.frames(now=now)
+        sought = self._search.tags(limit=self._beacons.max_tags(), now=now)
+        if sought:
+            frames = (frames or self._beacons.hello()) + wire.encode_probe(sought)
         out = self._transmitter.broadcast(frames, is_control=True, now=now) if frames else []
-        for (path, tag), introduction in self._introductions.items():
-            out.append(self._transmitter.stray(path, tag, introduction))
-        self._introductions.clear()
-        return out
-
-    def _probe(self, *, now: float) -> bytes:
-        due_s = self._next_probe_at_s(now=now)
-        if due_s is None or due_s > now:
-            return b""
-        self._probe_at_s = now
-        return self._hello() + wire.encode_probe(
-            [peer.session.tag for peer in self._sought(now=now)][: self._max_tags()]
-        )
-
-    def _sought(self, *, now: float) -> list[Peer]:
-        return [peer for peer in self._state.peers.values() if self._is_sought(peer, now=now)]
-
-    def _is_sought(self, peer: Peer, *, now: float) -> bool:
-        if peer.is_online or not self._state.settings.probe:
-            return False
-        return bool(peer.lane.transfers) or now - peer.last_traffic_s <= PROBE_TRAFFIC_WITHIN_S
-
-    def _next_probe_at_s(self, *, now: float) -> float | None:
-        sought = self._sought(now=now)
-        if not sought:
-            return None
-        newest_s = max(peer.down_since_s for peer in sought)
-        is_quick = now - newest_s < PROBE_QUICK_FOR_S
-        interval_s = min(_probe_interval_s(peer) for peer in sought)  # a carrier carries what its best path does
-        return self._probe_at_s + (interval_s if is_quick else max(interval_s, PROBE_SLOW_INTERVAL_S))
-
-    def _max_tags(self) -> int:
-        """How many tags an answer and a probe may hold, each, if both leave in one datagram."""
-        room = self._state.broadcast_bytes - 2 * len(self._hello()) - wire.HEADER_BYTES - 2
-        return min(wire.MAX_TAGS, room // 8)
-
-    def _hello(self, *, heard: tuple[int, ...] = ()) -> bytes:
-        state = self._state
-        floor = min((next(iter(p.lane.transfers), state.next_message_id) for p in state.peers.values()), default=0)
-        slowest_s = max((c.control_interval_s(PROBE_BYTES) for c in state.carriers.values()), default=0.0)
-        return wire.encode_hello(
-            name=state.settings.name,
-            beacon_interval_s=max(state.settings.beacon_interval_s, slowest_s),
-            floor=min(floor, state.floor(state.broadcast)),
-            heard=heard,
-        )
+        return out + self._beacons.introductions()
 
     def report_purged(self, peer: Peer, purged: list[tuple[int, Partial]], *, is_settled: bool, now: float) -> None:
         """Turn purged partial messages into events."""

@@ -45,6 +45,7 @@ class Session:
         self.reassembler = Reassembler(memory)
         self.floor_sent = 0
         self.control: list[bytes] = []  # frames for the next datagram
+        self.greeting: list[bytes] = []  # frames that go ahead of whatever is sent first
         self.ping_wanted = False
         self.reply_path: Path | None = None  # by which the newest packet came that asks for an acknowledgement
         self.probe_credits = 0  # packets that may leave whatever the window says
@@ -65,6 +66,7 @@ class Peer:
         self.needs_evidence = False  # hearing it is not enough: it did not hear us
         self.beacon_interval_s = 1.0
         self.last_heard_s = now
+        self.last_sent_s = NEVER_S
         self.waiting_since_s: float | None = None  # oldest unanswered packet since it last showed that it hears us
         self.grace_until_s = NEVER_S  # not held offline before: this node itself was asleep
         self.down_since_s = NEVER_S

@@ -74,7 +74,8 @@ class Receiver:
         peer = self._sender(packet, path, now=now)
         is_for_us = packet.destination_tag in (0, self._state.tag)
         if packet.probes and is_for_us:
-            self._liveness.on_probe(packet.epoch, packet.probes)
+            heard = packet.beacons[0].heard if packet.beacons else ()
+            self._liveness.on_probe(packet.epoch, packet.probes, heard, now=now)
         if peer is None:
             return
         if not is_for_us:

@@ -78,6 +78,11 @@ class Settings:
     probe: bool = True
     """False leaves the return of an offline peer to its beacons."""
     beacon_interval_s: float = 1.0
+    """Least time between beacons of a settled node; a large team or a slow channel makes it longer."""
+    beacon_share: float = 0.01
+    """Part of the channel's time that the beacons and answers of the whole team may take."""
+    channel_bps: float = 6e6
+    """Rate of broadcasts on the channel that the team shares; for shares only, nothing is paced by it."""
     queue_bytes: int = 16 * 1024 * 1024
     """Payload waiting or in flight in this node, over all destinations."""
     floor_ratio: float = 0.0

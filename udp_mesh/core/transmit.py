@@ -136,10 +136,13 @@ class Transmitter:
     def _control(self, peer: Peer, out: list[Datagram], *, now: float) -> None:
         session = peer.session
         due_s = session.acks.due_at_s
-        if not peer.is_online or not (session.control or session.ping_wanted or (due_s is not None and due_s <= now)):
+        is_due = session.control or session.ping_wanted or (due_s is not None and due_s <= now)
+        if not is_due and session.greeting:
+            is_due = self._state.scheduler.head(peer.name) is not None
+        if not peer.is_online or not is_due:
             return
-        frames = session.control
-        session.control = []
+        frames = session.greeting + session.control
+        session.greeting, session.control = [], []
         path = peer.ack_path(self._state.carriers) if session.acks.has_pending else peer.path
         if session.acks.has_pending:
             room_bytes = self._state.packet_bytes(path.carrier) - wire.HEADER_BYTES - sum(map(len, frames))
@@ -282,6 +285,7 @@ class Transmitter:
             )
             if peer.waiting_since_s is None:
                 peer.waiting_since_s = now
+        peer.last_sent_s = now
         peer.pacer.on_sent(size_bytes, count=count, rate_bps=peer.congestion.pacing_rate_bps, now=now)
 
     def _send_broadcast(self, transfer: Transfer, out: list[Datagram], *, now: float) -> None:

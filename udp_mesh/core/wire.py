@@ -33,6 +33,7 @@ _MESSAGE = struct.Struct("!BHI")  # type (FLOOR or PURGED), message id (48 bits)
 TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_PURGED, _TYPE_BACKLOG = range(1, 9)
 
 HEADER_BYTES = _HEADER.size
+HELLO_BYTES = _HELLO.size  # without the name
 DATA_BYTES = _DATA.size
 SEAL_BYTES = 24  # what a key adds to a datagram
 PING = bytes([_TYPE_PING])
