@@ -59,7 +59,11 @@ class Config:
     probe: bool = True
     """Whether an offline peer is searched for every 25 ms; false: it returns with its next beacon."""
     beacon_interval_s: float = 1.0
-    """Time between beacons, 0.05..60."""
+    """Least time between beacons, 0.05..60; a large team or a slow channel makes it longer."""
+    beacon_share: float = 0.01
+    """Part of the channel's time that beacons and answers of the whole team may take, 0.0001..1."""
+    channel_bps: float = 6e6
+    """Rate of broadcasts on the channel that the team shares, 100..1e12; beacons and probes keep to shares of it."""
     key: tuple[bytes, ...] = field(default=(), repr=False)
     """The team's key, in a file 64 hexadecimal digits; without it datagrams are neither encrypted nor checked. Up to
     four in a list: the first encrypts, all are understood."""
@@ -92,6 +96,8 @@ class Config:
             prioritise=self.prioritise,
             probe=self.probe,
             beacon_interval_s=self.beacon_interval_s,
+            beacon_share=self.beacon_share,
+            channel_bps=self.channel_bps,
             queue_bytes=self.queue_bytes,
             floor_ratio=self.floor,
             coordinate=self.coordinate,
@@ -114,7 +120,7 @@ class Config:
 
 RUNTIME_KEYS = (
     *("payload_bytes", "key", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes"),
-    *("floor", "coordinate"),
+    *("floor", "coordinate", "beacon_share", "channel_bps"),
 )
 
 
@@ -241,6 +247,8 @@ _CHECKS: dict[str, config_checks.Check] = {
     "prioritise": config_checks.boolean,
     "probe": config_checks.boolean,
     "beacon_interval_s": config_checks.number(0.05, 60, whole=False),
+    "beacon_share": config_checks.number(0.0001, 1, whole=False),
+    "channel_bps": config_checks.number(100, 1e12, whole=False),
     "socket": config_checks.text,
     "dscp": config_checks.boolean,
     "floor": config_checks.number(0, 0.5, whole=False),

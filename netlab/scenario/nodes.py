@@ -41,6 +41,7 @@ def _quoted_key(value: object) -> object:
 _TEAM_KEY = re.compile("[0-9a-fA-F]{64}")
 TeamKey = Annotated[str, Field(pattern=f"^{_TEAM_KEY.pattern}$")]
 StoreAge = Annotated[float, Quantity(DURATION, minimum=1.0, maximum=2_592_000.0)]
+ChannelRate = Annotated[float, Quantity(RATE, minimum=100.0, maximum=1e12)]
 BeaconInterval = Annotated[float, Quantity(DURATION, minimum=0.05, maximum=60.0)]
 
 
@@ -91,6 +92,8 @@ class MeshSettings(StrictModel):
     probe: Switch | None = None
     payload_bytes: Annotated[WholeBytes, Field(ge=256, le=65_000)] | None = None
     beacon_interval_s: BeaconInterval | None = Field(default=None, alias="beacon_interval")
+    beacon_share: Annotated[float, Quantity(RATIO, minimum=0.0001)] | None = None
+    channel_bps: ChannelRate | None = Field(default=None, alias="channel")
     queue_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 30)] | None = None
     dscp: Switch | None = None
     store_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 40)] | None = None

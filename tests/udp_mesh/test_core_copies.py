@@ -12,8 +12,8 @@ from udp_mesh.core.copies import SPREAD_S
 from udp_mesh.core.settings import Reliability
 
 
-def pair(make_net: Any, **link: float) -> Any:
-    net = make_net(**link)
+def pair(make_net: Any, seed: int = 1, **link: float) -> Any:
+    net = make_net(seed=seed, **link)
     net.add("a")
     net.add("b")
     net.meet()
@@ -95,7 +95,13 @@ def test_retransmissions_of_small_messages_leave_twice_those_of_large_ones_once(
 
 def test_a_small_message_survives_the_loss_of_its_retransmission_sooner(make_net: Any) -> None:
     """15 % loss each way: without the second try, one message in fifty takes two round trips or more."""
-    net = pair(make_net, delay_s=0.03)
+    outcomes = [late_of(make_net, seed) for seed in range(1, 5)]
+    assert sum(late for late, _count in outcomes) <= 0.01 * sum(count for _late, count in outcomes), outcomes
+
+
+def late_of(make_net: Any, seed: int) -> tuple[int, int]:
+    """How many messages of telemetry came later than 1.7 round trips, and how many were sent."""
+    net = pair(make_net, seed, delay_s=0.03)
     net.link("a", "b", loss_ratio=0.15, rate_bps=5e6, limit_packets=200)
     published = {}
     began_s = net.now
@@ -112,4 +118,4 @@ def test_a_small_message_survives_the_loss_of_its_retransmission_sooner(make_net
     net.run(9.0)
     late = [m for m in net.delivered("b", "t") if m.now - published[m.message_id] > 0.03 + 1.7 * 0.06]
     assert len(net.delivered("b", "t")) == len(published)
-    assert len(late) <= 0.01 * len(published)
+    return len(late), len(published)

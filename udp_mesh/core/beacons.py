@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from udp_mesh.core import wire
 from udp_mesh.core.airtime import airtime_s
+from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.peer import NEVER_S, Path
 from udp_mesh.core.search import PROBE_BYTES
 from udp_mesh.core.state import NodeState
-from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.transmit import Transmitter
 
 ANYBODY = 0  # in place of a tag; no node has it

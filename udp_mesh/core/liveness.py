@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from udp_mesh.core import wire
 from udp_mesh.core.beacons import ANYBODY, Beacons
+from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import (
     NameConflict,
     PartialPurged,
@@ -31,7 +32,6 @@ from udp_mesh.core.reassembly import Partial
 from udp_mesh.core.routing import Router
 from udp_mesh.core.search import PROBE_TRAFFIC_WITHIN_S, Search
 from udp_mesh.core.state import NodeState
-from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.transmit import Transmitter
 
 MAX_PEERS = 1024

@@ -1,8 +1,8 @@
 """The search for peers that fell silent: PROBE broadcasts, one for all that are sought.
 
-Every 25 ms for two minutes, then each second, while there is, or was in the last ten minutes, something for such a peer.
-No back-off; but never more than ``PROBE_SHARE`` of the channel, nor of what a sought peer's path was seen to carry. Whoever else is heard searching shares that with us:
-the answers are broadcasts, which serve all.
+Every 25 ms for two minutes, then each second, while there is, or was in the last ten minutes, something for such a
+peer. No back-off; but never more than ``PROBE_SHARE`` of the channel, nor of what a sought peer's path was seen to
+carry. Whoever else is heard searching shares that with us: the answers are broadcasts, which serve all.
 """
 
 from __future__ import annotations
