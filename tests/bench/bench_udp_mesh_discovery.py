@@ -61,7 +61,7 @@ def main() -> int:
         p95_s = sorted(delays)[int(0.95 * len(delays))]
         is_met &= max(starts) <= GOAL_SHARE and max(joins) <= GOAL_SHARE and p95_s <= GOAL_DELAY_S
         print(
-            f"loss {loss_ratio:4.0%}: channel busy, all start {statistics.median(starts):.2%} (worst {max(starts):.2%}),"
+            f"loss {loss_ratio:.0%}: channel busy, all start {statistics.median(starts):.2%} (worst {max(starts):.2%}),"
             f" one joins {statistics.median(joins):.2%} (worst {max(joins):.2%}); listed by the others p50 "
             f"{statistics.median(delays):.3f} s, p95 {p95_s:.3f} s, max {max(delays):.3f} s; "
             f"it knows {min(known)} of {NODES - 1} after 5 s"

@@ -141,12 +141,12 @@ def test_messages_are_cut_anew_for_a_smaller_path(radios: type[Any]) -> None:
     net.publish("a", "lost", bytes(1000), to="b")  # leaves whole: nobody knows whether it arrives
     net.run(0.01)
     for _ in range(3):
-        net.publish("a", "bulk", bytes(20_000), to="b", priority=9)
+        net.publish("a", "bulk", bytes(60_000), to="b", priority=9)
     net.run(60.0)
     assert carrier_to(net, "a") == SERIAL
     dropped = [(event.topic, event.reason) for event in net.of("a", MessageDropped)]
     assert dropped == [("lost", DropReason.PATH_TOO_SMALL)]
-    assert [len(event.payload) for event in net.delivered("b", "bulk")] == [20_000] * 3
+    assert [len(event.payload) for event in net.delivered("b", "bulk")] == [60_000] * 3
 
 
 def test_a_carrier_of_known_rate_is_given_no_more_than_it_carries(radios: type[Any]) -> None:
