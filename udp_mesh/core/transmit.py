@@ -137,9 +137,7 @@ class Transmitter:
         session = peer.session
         due_s = session.acks.due_at_s
         is_due = session.control or session.ping_wanted or (due_s is not None and due_s <= now)
-        if not is_due and session.greeting:
-            is_due = self._state.scheduler.head(peer.name) is not None
-        if not peer.is_online or not is_due:
+        if not peer.is_online or not (is_due or (session.greeting and self._state.scheduler.head(peer.name))):
             return
         frames = session.greeting + session.control
         session.greeting, session.control = [], []
