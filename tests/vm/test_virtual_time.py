@@ -71,14 +71,12 @@ def test_telemetry_overtakes_bulk_at_a_bottleneck(run: Run, engine: str) -> None
     assert result.stream("bulk")["goodput_bps"] > 8e6
 
 
-def test_seeded_losses_are_the_same_in_every_run(run: Run) -> None:
-    first, second = (run("lossy", "air", "duration=3s") for _ in range(2))
+def test_seeded_losses_delay_single_messages_but_lose_none(run: Run) -> None:
+    result = run("lossy", "air", "duration=3s")
     for topic in ("telemetry", "image"):
-        assert _latency_s(first, topic) == pytest.approx(_latency_s(second, topic), abs=TOLERANCE_S)
-    # Not all frames: whether the very last one is still under way at the end is decided by less than a microsecond.
-    assert [row["lost"] for row in first.summary["links"]] == [row["lost"] for row in second.summary["links"]]
-    other = run("lossy", "air", "duration=3s", "seed=2")
-    assert _latency_s(other, "image") != pytest.approx(_latency_s(first, "image"), abs=TOLERANCE_S)
+        assert result.stream(topic)["delivered"] == result.stream(topic)["sent"]
+    assert _latency_s(result, "telemetry")["p50"] < 0.010 + 2 * TOLERANCE_S
+    assert _latency_s(result, "telemetry")["p99"] > 0.020  # some were lost, and sent again
 
 
 def test_unseeded_losses_are_within_their_bounds(run: Run) -> None:

@@ -15,9 +15,9 @@ from netlab.vm.kernels import Kernel
 ROOT = Path(__file__).parents[2]
 
 
-def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
+def _run(*arguments: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-m", "netlab", "run", *arguments]
-    return subprocess.run(words, capture_output=True, text=True, cwd=ROOT, timeout=120, check=False)
+    return subprocess.run(words, capture_output=True, text=True, cwd=ROOT, timeout=timeout_s, check=False)
 
 
 @pytest.mark.parametrize("engine", ["air", "netem"])
@@ -33,6 +33,17 @@ def test_in_virtual_time_every_message_takes_the_links_delay(built_kernel: Kerne
     telemetry = result["streams"][0]["latency_s"]
     assert 0.0020 <= telemetry["p50"] <= telemetry["p99"] < 0.0022  # 2 ms and the frame's own 20 us at 100 Mbit/s
     assert len(load_trace(capture).published[0]) == 100
+
+
+def test_a_seeded_run_is_the_same_run_again(built_kernel: Kernel) -> None:
+    lossy = str(ROOT / "topologies" / "lossy.yaml")
+    words = ("--in", "vm", "--clock", "virtual", "--json", "--engine", "air", "--set", "duration=2s")
+    first, again, other = (
+        json.loads(_run(lossy, *words, "--seed", str(seed), timeout_s=240).stdout) for seed in (1, 1, 2)
+    )
+    for row, row_again, row_other in zip(first["streams"], again["streams"], other["streams"], strict=True):
+        assert row["latency_s"] == pytest.approx(row_again["latency_s"], abs=0.0001)
+        assert row["latency_s"]["p99"] != pytest.approx(row_other["latency_s"]["p99"], abs=0.0001)
 
 
 def test_a_mistake_shows_before_a_kernel_boots(tmp_path: Path) -> None:
