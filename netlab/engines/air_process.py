@@ -10,33 +10,16 @@ Ends when the engine's channel closes, however the engine ended.
 
 from __future__ import annotations
 
-import argparse
-import gc
-import select
 import socket
 import sys
 import time
 from collections.abc import Callable
 from heapq import heappop, heappush
 
-from netlab.engines.air_messages import (
-    AirStats,
-    Answer,
-    AskStats,
-    Close,
-    Done,
-    Failed,
-    RecordVerdicts,
-    Request,
-    SetOutage,
-    SetPairs,
-    Setup,
-)
+from netlab.engines.air_messages import AirStats, Answer, AskStats, Done, Request, SetOutage, SetPairs, Setup
 from netlab.engines.air_ring import SLOTS_MAX, Ring
-from netlab.engines.air_verdicts import VerdictStream
-from netlab.engines.priority import prefer_this_process
+from netlab.engines.medium_loop import MediumLoop, lab_channel
 from netlab.ipc import Channel
-from netlab.kernel import syscalls
 from netlab.medium.medium import Medium
 
 _SOL_PACKET = 263
@@ -51,24 +34,19 @@ _OLDEST_STAMP_NS = _NS_PER_S
 _BASE_MTU = 1500
 
 
-class Air:
+class Air(MediumLoop):
     """The data plane of one lab."""
 
     def __init__(self, channel: Channel) -> None:
-        self._channel = channel
-        self._channel_fd = channel.fileno()
-        self._readers = [self._channel_fd]
-        self._open = True
-        self._ring: Ring | None = None
         self._medium = Medium((), (), 0)
+        super().__init__(channel, self._medium)
+        self._ring: Ring | None = None
         self._port_of: dict[int, int] = {}
         self._send: list[Callable[[bytes], int]] = []
         self._departures: list[tuple[float, int, int, bytes]] = []  # heap of (due_s, order, port, frame)
         self._order = 0
-        self._verdicts: VerdictStream | None = None
         self._received = 0
         self._not_sent = 0
-        self._lost_verdicts = 0  # of earlier streams
         self._late_max_s = 0.0
 
     def run(self) -> None:
@@ -78,9 +56,8 @@ class Air:
         while self._open:
             busy = self._receive()
             self._depart()
-            self._wait(0.0 if busy else None)
-        if self._verdicts is not None:
-            self._verdicts.close()
+            self._wait(self._departures[0][0] if self._departures else None, busy=busy)
+        self._close_verdicts()
 
     # -- frames ---------------------------------------------------------------------------------------------------
 
@@ -134,49 +111,18 @@ class Air:
             except OSError:
                 self._not_sent += 1
 
-    def _wait(self, most_s: float | None) -> None:
-        """Sleep until a departure is due, a frame is there or the engine speaks; at most ``most_s``."""
-        verdicts = self._verdicts
-        writing: list[int] = []
-        if verdicts is not None and verdicts.pending:
-            verdicts.flush()
-            writing = [verdicts.fileno()] if verdicts.pending else []
-        if most_s is None and self._departures:
-            most_s = max(0.0, self._departures[0][0] - time.monotonic())
-        readable = select.select(self._readers, writing, [], most_s)[0]
-        if self._channel_fd in readable:
-            self._answer()
-
     # -- the engine's requests ------------------------------------------------------------------------------------
-
-    def _answer(self) -> None:
-        try:
-            request, fds = self._channel.recv()
-            try:
-                answer = self._obey(request, fds)
-            except (OSError, ValueError) as error:
-                answer = Failed(str(error))
-            self._channel.send(answer)
-        except (EOFError, BrokenPipeError, ConnectionResetError):
-            self._open = False
 
     def _obey(self, request: Request, fds: list[int]) -> Answer:
         if isinstance(request, AskStats):
             return self._stats()
         if isinstance(request, Setup):
             self._set_up(request)
-        elif isinstance(request, SetPairs):
+            return Done()
+        if isinstance(request, SetPairs | SetOutage):
             self._catch_up()
-            self._medium.set_pairs(request.changes)
-        elif isinstance(request, SetOutage):
-            self._catch_up()
-            self._medium.set_outage(request.pairs, active=request.active)
-        elif isinstance(request, RecordVerdicts):
-            self._record(fds[0])
-        else:
-            assert isinstance(request, Close)
-            self._open = False
-        return Done()
+        answer: Answer = super()._obey(request, fds)
+        return answer
 
     def _set_up(self, setup: Setup) -> None:
         plan = setup.plan
@@ -185,20 +131,10 @@ class Air:
         self._port_of = {ifindex: port for port, ifindex in enumerate(setup.ifindexes)}
         self._send = [_sender(ifindex) for ifindex in setup.ifindexes]
         self._ring = ring
-        self._readers = [self._channel_fd, ring.fileno()]
-        # What lives now lives on, and frames make no cycles: no collection ever needs to stop the loop.
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-
-    def _record(self, fd: int) -> None:
-        if self._verdicts is not None:
-            self._verdicts.close()
-            self._lost_verdicts += self._verdicts.lost
-        self._verdicts = VerdictStream(fd)
+        self._begin(self._medium, ring.fileno())
 
     def _stats(self) -> AirStats:
-        ring, verdicts = self._ring, self._verdicts
+        ring = self._ring
         return AirStats(
             received=self._received,
             verdicts=self._medium.counts,
@@ -206,7 +142,7 @@ class Air:
             oversized=ring.oversized if ring is not None else 0,
             unaddressed=self._medium.unaddressed,
             not_sent=self._not_sent,
-            lost_verdicts=self._lost_verdicts + (verdicts.lost if verdicts is not None else 0),
+            lost_verdicts=self._lost_verdicts,
             late_max_s=self._late_max_s,
         )
 
@@ -222,12 +158,7 @@ def _sender(ifindex: int) -> Callable[[bytes], int]:
 
 def main(argv: list[str]) -> int:
     """Carry frames for the engine at the other end of ``--channel-fd``, in the calling process's network namespace."""
-    parser = argparse.ArgumentParser(prog="netlab-air")
-    parser.add_argument("--channel-fd", type=int, required=True)
-    options = parser.parse_args(argv)
-    syscalls.set_name("netlab-air")
-    prefer_this_process()
-    Air(Channel.from_fd(options.channel_fd)).run()
+    Air(lab_channel("netlab-air", argv)).run()
     return 0
 
 

@@ -10,43 +10,36 @@ Ends when the lab's channel closes, however the lab ended.
 
 from __future__ import annotations
 
-import argparse
-import gc
-import select
 import sys
 import time
 from heapq import heappop, heappush
 
-from netlab.engines.air_messages import AskStats, Close, Done, Failed, RecordVerdicts, SetOutage, SetPairs
-from netlab.engines.air_verdicts import VerdictStream
+from netlab.engines.air_messages import AskStats
 from netlab.engines.hwsim_frames import SHORTEST_BYTES, ethernet_of
 from netlab.engines.hwsim_messages import HwsimAnswer, HwsimRequest, HwsimStats, MakeRadios, RadiosMade
-from netlab.engines.priority import prefer_this_process
+from netlab.engines.medium_loop import MediumLoop, lab_channel
 from netlab.ipc import Channel
-from netlab.kernel import hwsim, syscalls
+from netlab.kernel import hwsim
 from netlab.kernel.hwsim import HwsimSocket, SentFrame
 from netlab.medium.wifi import Transmission, WifiMedium
 
 _BURST = 16  # datagrams read before departures get their turn
 
 
-class RadioAir:
+class RadioAir(MediumLoop):
     """The data plane of one lab's 802.11 radios."""
 
     def __init__(self, channel: Channel) -> None:
-        self._channel = channel
-        self._open = True
-        self._sock: HwsimSocket | None = None
         self._medium = WifiMedium((), (), 0)
+        super().__init__(channel, self._medium)
+        self._sock: HwsimSocket | None = None
         self._port_of: dict[bytes, int] = {}  # by the radio's address
         self._radio_of: dict[int, bytes] = {}
         self._departures: list[tuple[float, int, list[bytes]]] = []  # heap of (due_s, order, messages)
         self._order = 0
-        self._verdicts: VerdictStream | None = None
         self._frames = 0
         self._unknown_radio = 0
         self._malformed = 0
-        self._lost_verdicts = 0  # of earlier streams
 
     def run(self) -> None:
         """Carry frames until the channel closes."""
@@ -55,9 +48,8 @@ class RadioAir:
         while self._open and self._sock is not None:
             busy = self._receive(self._sock)
             self._depart(self._sock)
-            self._wait(self._sock, 0.0 if busy else None)
-        if self._verdicts is not None:
-            self._verdicts.close()
+            self._wait(self._departures[0][0] if self._departures else None, busy=busy)
+        self._close_verdicts()
         if self._sock is not None:
             self._sock.close()
 
@@ -129,32 +121,7 @@ class RadioAir:
         while departures and departures[0][0] <= now:
             sock.send(heappop(departures)[2])
 
-    def _wait(self, sock: HwsimSocket, most_s: float | None) -> None:
-        """Sleep until a departure is due, a frame is there or the lab speaks; at most ``most_s``."""
-        verdicts = self._verdicts
-        writing: list[int] = []
-        if verdicts is not None and verdicts.pending:
-            verdicts.flush()
-            writing = [verdicts.fileno()] if verdicts.pending else []
-        if most_s is None and self._departures:
-            most_s = max(0.0, self._departures[0][0] - time.monotonic())
-        channel = self._channel.fileno()
-        readable = select.select([channel, sock.fileno()], writing, [], most_s)[0]
-        if channel in readable:
-            self._answer()
-
     # -- the lab's requests ---------------------------------------------------------------------------------------
-
-    def _answer(self) -> None:
-        try:
-            request, fds = self._channel.recv()
-            try:
-                answer = self._obey(request, fds)
-            except (OSError, ValueError) as error:
-                answer = Failed(str(error))
-            self._channel.send(answer)
-        except (EOFError, BrokenPipeError, ConnectionResetError):
-            self._open = False
 
     def _obey(self, request: HwsimRequest, fds: list[int]) -> HwsimAnswer:
         if isinstance(request, AskStats):
@@ -162,16 +129,8 @@ class RadioAir:
         if isinstance(request, MakeRadios):
             self._make(request)
             return RadiosMade()
-        if isinstance(request, SetPairs):
-            self._medium.set_pairs(request.changes)
-        elif isinstance(request, SetOutage):
-            self._medium.set_outage(request.pairs, active=request.active)
-        elif isinstance(request, RecordVerdicts):
-            self._record(fds[0])
-        else:
-            assert isinstance(request, Close)
-            self._open = False
-        return Done()
+        answer: HwsimAnswer = super()._obey(request, fds)
+        return answer
 
     def _make(self, request: MakeRadios) -> None:
         sock = HwsimSocket()
@@ -184,19 +143,10 @@ class RadioAir:
         self._port_of = {address: port for port, address in self._radio_of.items()}
         self._medium = WifiMedium(request.ports, request.segments, request.seed)
         self._sock = sock
-        # What lives now lives on, and frames make no cycles: no collection ever needs to stop the loop.
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-
-    def _record(self, fd: int) -> None:
-        if self._verdicts is not None:
-            self._verdicts.close()
-            self._lost_verdicts += self._verdicts.lost
-        self._verdicts = VerdictStream(fd)
+        self._begin(self._medium, sock.fileno())
 
     def _stats(self) -> HwsimStats:
-        sock, verdicts = self._sock, self._verdicts
+        sock = self._sock
         return HwsimStats(
             frames=self._frames,
             verdicts=self._medium.counts,
@@ -205,18 +155,13 @@ class RadioAir:
             malformed=self._malformed + (sock.malformed if sock is not None else 0),
             overruns=sock.overruns if sock is not None else 0,
             refused=dict(sock.refused) if sock is not None else {},
-            lost_verdicts=self._lost_verdicts + (verdicts.lost if verdicts is not None else 0),
+            lost_verdicts=self._lost_verdicts,
         )
 
 
 def main(argv: list[str]) -> int:
     """Carry radio frames for the lab at the other end of ``--channel-fd``."""
-    parser = argparse.ArgumentParser(prog="netlab-hwsim")
-    parser.add_argument("--channel-fd", type=int, required=True)
-    options = parser.parse_args(argv)
-    syscalls.set_name("netlab-hwsim")
-    prefer_this_process()
-    RadioAir(Channel.from_fd(options.channel_fd)).run()
+    RadioAir(lab_channel("netlab-hwsim", argv)).run()
     return 0
 
 
