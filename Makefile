@@ -34,7 +34,7 @@ lab: $(STAMP)
 	@$(BIN)/netlab lab $(SCENARIO)
 
 test: $(STAMP) tools
-	@$(BIN)/python -m pytest -n auto --dist worksteal --ignore=tests/vm -m "not real_time" $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n auto --dist worksteal --lab-clock=real --ignore=tests/vm -m "not real_time" $(PYTEST_ARGS)
 	@$(BIN)/python -m pytest tests/system -m real_time $(PYTEST_ARGS)
 
 # The kernel that the box needs is built once per machine (about 10 minutes) and then taken from the cache. System tests
@@ -43,7 +43,7 @@ test-vm: $(STAMP) tools vm-tools
 	@$(BIN)/netlab vm build
 	@$(BIN)/python -m pytest -n auto tests/vm $(PYTEST_ARGS)
 	@$(BIN)/python -m pytest -n 2 --lab-clock=virtual --lab-engine=netem tests/agreement/test_agreement_engines.py tests/system/test_kernel_netem*.py \
-	  $(addprefix tests/system/test_,lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py) $(PYTEST_ARGS)
+	  $(addprefix tests/system/test_,lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py udp_mesh_goals.py) $(PYTEST_ARGS)
 	@$(BIN)/python -m pytest -n 2 --lab-clock=virtual --lab-engine=air tests/system/test_air.py tests/system/test_lab_scenarios.py $(PYTEST_ARGS)
 
 # Rewrites docs/agreement.md: netem, air and the pure medium against theory and each other.
