@@ -3,6 +3,7 @@
 Theory. t = 0 is when every process is ready, a mesh has routes between the ends of the streams (at most
 ``DISCOVERY_LIMIT_S`` are waited for them) and then each traffic source has discovered the destinations it can reach (at
 most as long again). Traffic is published in [0, duration); one second of drain follows.
+"""
 
 from __future__ import annotations
 
