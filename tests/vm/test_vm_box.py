@@ -65,8 +65,8 @@ def test_a_kernel_that_is_no_program_is_told(tmp_path: Path) -> None:
 
 def test_a_guest_that_hangs_in_its_boot_is_ended_by_the_watchdog(tmp_path: Path, memory: Path) -> None:
     kernel = fake_kernel(tmp_path, "echo waiting for nothing; sleep 987651 & sleep 987651")
-    with pytest.raises(BoxError, match=r"did not start within 0\.5 s[^$]*waiting for nothing"):
-        Run().box("true", kernel=kernel, boot_limit_s=0.5)
+    with pytest.raises(BoxError, match=r"did not start within 3 s[^$]*waiting for nothing"):
+        Run().box("true", kernel=kernel, boot_limit_s=3.0)
     assert not with_word("987651")
     assert list(memory.iterdir()) == []
 
@@ -83,7 +83,7 @@ def test_a_guest_that_breaks_down_is_no_exit_code(tmp_path: Path) -> None:
 def test_the_time_limit_is_the_hosts(tmp_path: Path, memory: Path) -> None:
     run = Run()
     script = 'echo up >"$control/up"; echo early >"$control/stdout"; sleep 987652'
-    result = run.box("true", kernel=fake_kernel(tmp_path, script), timeout_s=1.0)
+    result = run.box("true", kernel=fake_kernel(tmp_path, script), timeout_s=4.0)
     assert (result.exit_code, result.timed_out) == (124, True)
     assert run.out.getvalue() == b"early\n"
     assert not with_word("987652")
