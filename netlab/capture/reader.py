@@ -58,7 +58,7 @@ class Capture:
             self._scan = scanning.scan(self._file, path)
             self.notes: list[str] = [f"{path}: {self._scan.note}"] if self._scan.note else []
             self._declare_all()
-        except CaptureError:
+        except BaseException:
             self._file.close()
             raise
         self.metadata: dict[str, str] = self._scan.metadata.get(METADATA_NAME, {})

@@ -27,7 +27,7 @@ _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")  # start, end, uncompressed size, uncompressed crc
 _INDEX_CHANNEL = struct.Struct("<H")
 _MAX_UNCOMPRESSED = 1 << 30
-_DAMAGE = (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError, MemoryError)
+_DAMAGE = (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError, MemoryError, OverflowError)
 
 
 @dataclass(slots=True)

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from netlab.capture.reader import Capture
+from netlab.capture.record_file import MAGIC
 from netlab.capture.records import JsonRecord, Kind, PacketRecord, VerdictRecord
 from netlab.capture.topics import Topics
 from netlab.capture.writer import CaptureWriter
@@ -103,6 +104,14 @@ def test_damage_is_noted_or_refused_never_a_crash(
             capture.topics  # noqa: B018
     except CaptureError:
         pass
+
+
+def test_a_length_beyond_all_memory_is_damage(tmp_path: Path) -> None:
+    attachment = struct.pack("<QQIIQ", 0, 0, 0, 0, (1 << 63) + 11)
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(MAGIC + struct.pack("<BQ", 9, len(attachment)) + attachment)
+    with Capture.open(path) as capture:
+        assert "damaged at byte 8" in capture.notes[0]
 
 
 def test_a_damaged_chunk_costs_only_itself(write_capture: Callable[..., Path], tmp_path: Path) -> None:

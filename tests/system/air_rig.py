@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 
+from netlab.clock import clock_here
 from netlab.engines.air import AirEngine
 from netlab.engines.base import LabPlan
 from netlab.errors import LabError
@@ -91,7 +92,8 @@ def delay() -> None:
         rig.socks[0].recv(2048)
         errors.append(time.monotonic() - start - 0.010)
     assert min(errors) >= 0, errors
-    assert sorted(errors)[10] < 0.004, errors  # a busy machine; the benchmark judges by a stricter measure
+    # In real time a busy machine is late by milliseconds, without real-time priority by time slices.
+    assert sorted(errors)[10] < (0.0005 if clock_here() == "virtual" else 0.05), errors
 
 
 def broadcast() -> None:
