@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypedDict
 
+from udp_mesh.core.peer_status import PeerStatus
 from udp_mesh.core.settings import Keep, Offline, Reliability
 from udp_mesh.local_wire import Overrides
+
+#: The name under which applications know it.
+PeerInfo = PeerStatus
 
 
 class ClientError(Exception):
@@ -27,23 +31,6 @@ class WouldBlock(ClientError):
 
 class RequestFailed(ClientError):
     """The daemon answered a question with an error, or not in time."""
-
-
-@dataclass(frozen=True, slots=True)
-class PeerInfo:
-    """A peer of this node. ``rate_bps``: estimated rate of the path, 0 if never measured."""
-
-    name: str
-    online: bool
-    carrier: int
-    address: str
-    silent_for_s: float
-    srtt_s: float | None
-    rate_bps: float
-    cwnd_bytes: int
-    queue_delay_s: float
-    queued_messages: int
-    queued_bytes: int
 
 
 class PublishOptions(TypedDict, total=False):

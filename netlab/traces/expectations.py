@@ -21,8 +21,8 @@ from netlab.scenario.expect import (
 from netlab.traces.explain import around, milliseconds, rate
 from netlab.traces.inversions import inversions
 from netlab.traces.model import Stream, Trace
-from netlab.traces.reconnects import reconnects
-from netlab.traces.reroutes import reroutes
+from netlab.traces.reconnects import Reconnect, reconnects
+from netlab.traces.reroutes import Reroute, reroutes
 from netlab.traces.retransmissions import retransmissions
 from netlab.traces.streams import first_deliveries, longest_gap, percentile, stream_report
 
@@ -105,6 +105,10 @@ def _latency(expectation: LatencyExpectation, trace: Trace) -> list[ExpectationR
     return [result(word, ratio, limit_s) for word, (ratio, limit_s) in bounds.items() if limit_s is not None]
 
 
+def _delay_or_never(entry: Reconnect | Reroute) -> float:
+    return float("inf") if entry.delay_s is None else entry.delay_s
+
+
 def _reconnect(expectation: ReconnectExpectation, trace: Trace) -> ExpectationResult:
     between, limit_s = set(expectation.reconnect.between), expectation.max_s
     name = f"reconnect of {'-'.join(expectation.reconnect.between)} <= {milliseconds(limit_s)}"
@@ -112,7 +116,7 @@ def _reconnect(expectation: ReconnectExpectation, trace: Trace) -> ExpectationRe
     if not entries:
         what = "nothing was restored between them in this run"
         return ExpectationResult(name, False, None, limit_s, around(trace, trace.end_ns, what))
-    worst = max(entries, key=lambda entry: float("inf") if entry.delay_s is None else entry.delay_s)
+    worst = max(entries, key=_delay_or_never)
     passed = worst.delay_s is not None and worst.delay_s <= limit_s
     if passed:
         return ExpectationResult(name, True, worst.delay_s, limit_s)
@@ -129,7 +133,7 @@ def _reroute(expectation: RerouteExpectation, trace: Trace) -> ExpectationResult
     if not entries:
         what = "no cut in this run left them another path"
         return ExpectationResult(name, False, None, limit_s, around(trace, trace.end_ns, what))
-    worst = max(entries, key=lambda entry: float("inf") if entry.delay_s is None else entry.delay_s)
+    worst = max(entries, key=_delay_or_never)
     if worst.delay_s is not None and worst.delay_s <= limit_s:
         return ExpectationResult(name, True, worst.delay_s, limit_s)
     what = f"cut; on another path, the first message published since came {milliseconds(worst.delay_s)} later"

@@ -17,7 +17,8 @@ from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import Event, RefusalReason
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused
-from udp_mesh.core.peer import Path, PeerStatus
+from udp_mesh.core.peer import Path
+from udp_mesh.core.peer_status import PeerStatus
 from udp_mesh.core.receive import Receiver
 from udp_mesh.core.settings import Settings, TopicPolicy
 from udp_mesh.core.state import NodeState

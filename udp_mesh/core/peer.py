@@ -20,7 +20,7 @@ from udp_mesh.core.rtt import RttEstimator
 REMEMBERED_EPOCHS = 16
 NEVER_S = float("-inf")
 
-__all__ = ["NEVER_S", "REMEMBERED_EPOCHS", "Lane", "Path", "Peer", "PeerStatus", "Session"]
+__all__ = ["NEVER_S", "REMEMBERED_EPOCHS", "Lane", "Path", "Peer", "Session"]
 
 
 @dataclass(slots=True)
@@ -87,20 +87,3 @@ class Peer:
     def name(self) -> str:
         """The node's name."""
         return self.lane.name
-
-
-@dataclass(frozen=True, slots=True)
-class PeerStatus:
-    """A peer as applications see it. ``rate_bps`` is the estimated rate of the path, 0 if never measured."""
-
-    name: str
-    online: bool
-    carrier: int
-    address: str
-    silent_for_s: float
-    srtt_s: float | None
-    rate_bps: float
-    cwnd_bytes: int
-    queue_delay_s: float
-    queued_messages: int
-    queued_bytes: int
