@@ -65,7 +65,11 @@ class _Destination:
 
 
 class Custody:
-    """The unsettled messages of one store. ``forgotten`` collects sequences that the owner removes from the file."""
+    """The unsettled messages of one store.
+
+    ``forgotten`` collects sequences that the owner removes from the file, ``withdrawn`` what it takes back from the
+    transport, so that a message reported as dropped does not arrive all the same.
+    """
 
     def __init__(self, *, limit_bytes: int, age_s: float) -> None:
         self.limit_bytes = limit_bytes
@@ -75,6 +79,7 @@ class Custody:
         self.events: deque[MessageStored | MessageConfirmed | StoredDropped] = deque()
         self.counters: Counter[str] = Counter()
         self.forgotten: list[int] = []
+        self.withdrawn: list[tuple[Stored, DropReason]] = []
         self._stored: dict[int, Stored] = {}
         self._destinations: dict[str, _Destination] = {}
         self._victims: list[tuple[int, int]] = []  # heap: least urgent first, then oldest
@@ -273,6 +278,8 @@ class Custody:
         return dict(Counter(entry.topic for entry in self._stored.values()))
 
     def _drop(self, entry: Stored, reason: DropReason, *, now: float) -> None:
+        if entry.phase is Phase.FED:
+            self.withdrawn.append((entry, reason))
         self._forget(entry)
         self.counters[f"stored_dropped_{reason.value}"] += 1
         self.events.append(

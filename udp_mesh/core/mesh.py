@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from udp_mesh.core.carriers import UNLIMITED_BYTES, Carrier
 from udp_mesh.core.datagram import Datagram
-from udp_mesh.core.events import Event, RefusalReason
+from udp_mesh.core.events import DropReason, Event, RefusalReason
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused
 from udp_mesh.core.peer import Path
@@ -176,6 +176,13 @@ class MeshCore:
             if may_drop or refusal.reason is not RefusalReason.QUEUE_FULL:  # who waits for room tries again
                 self._state.counters[f"refused_{refusal.reason.value}"] += 1
             raise
+
+    def withdraw(self, peer: str, token: int, reason: DropReason, *, now: float) -> None:
+        """Drop the messages for a peer that were published with this token; what has left may arrive all the same."""
+        held = self._state.peers.get(peer)
+        for transfer in list(held.lane.transfers.values()) if held else ():
+            if transfer.message.token == token:
+                self._outbox.drop(transfer, reason, now=now)
 
     def has_room(self, topic: str, size_bytes: int) -> bool:
         """Whether a message for one destination fits into the queue without dropping another."""

@@ -145,14 +145,11 @@ class Outgoing:
 
         self._thread.write(statements, done)
 
-    def _answer(self, askers: list[tuple[Connection, int]], sequence: int, reason: RefusalReason | None) -> None:
-        for connection, request in askers:
-            if not connection.is_closed:
-                verdict = Verdict(request, sequence, reason.value if reason else "")
-                connection.send(local_wire.encode_verdict(verdict))
-
     def feed(self, *, now: float) -> None:
-        """Give the transport what is due, to every destination that is online."""
+        """Take back from the transport what the store has dropped; give it what is due, where the peer is online."""
+        withdrawn, self._custody.withdrawn = self._custody.withdrawn, []
+        for dropped, reason in withdrawn:
+            self._core.withdraw(dropped.peer, dropped.sequence, reason, now=now)
         seeks = now >= self.seek_at_s
         if seeks:
             self.seek_at_s = now + SEEK_INTERVAL_S
