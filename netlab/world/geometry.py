@@ -36,7 +36,7 @@ class Geometry:
     way leads. ``corners`` counts the turns on that way: each turn of 20 degrees or more as its angle over 90 degrees,
     at most 1; 0 in line of sight. ``width_m`` and ``height_m`` are those of the narrowest tunnel on the way, nan
     without terrain. ``bearing_deg[i, j]`` is the direction in which the radiation of i for j leaves, counter-clockwise
-    from the x axis: straight in line of sight, else along the tunnel at i. Without terrain all is straight and in sight.
+    from the x axis: straight in line of sight, else along the tunnel at i. Without terrain all is in sight.
     """
 
     distance_m: Floats
