@@ -9,6 +9,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
+
+from netlab.lab.usage import Usage, usage_now
 
 TAIL_LINES = 20
 
@@ -47,18 +50,37 @@ class ProcessSpec:
 
 @dataclass(slots=True)
 class Process:
-    """One process of a node; survives restarts of the program."""
+    """One process of a node; survives restarts of the program. ``used_before``: by runs that have ended."""
 
     spec: ProcessSpec
     state: State = State.STARTING
     pid: int = 0
     exit_status: int | None = None
     restarts: int = 0
+    used_before: Usage = field(default_factory=Usage)
     stopping: bool = False
     command: socket.socket | None = None
     tail: deque[str] = field(default_factory=lambda: deque(maxlen=TAIL_LINES))
     read_output: Callable[[], None] = lambda: None
     changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def usage(self) -> Usage:
+        """What it has used so far, all its runs taken together."""
+        return self.used_before if self.state is State.EXITED else self.used_before.then(usage_now(self.pid))
+
+    def identity(self) -> dict[str, str]:
+        """Which process it is, as plain values."""
+        return {"node": self.spec.node, "process": self.spec.name}
+
+    def describe(self) -> dict[str, Any]:
+        """The process as plain values."""
+        return {
+            **self.identity(),
+            "state": self.state,
+            "pid": self.pid,
+            "exit_status": self.exit_status,
+            "restarts": self.restarts,
+        }
 
     def describe_failure(self) -> str:
         """Name, argv, exit code and last log lines, for a person."""

@@ -141,6 +141,7 @@ class Processes:
             return
         process.read_output()  # its last words are in the pipe
         process.exit_status = message.status
+        process.used_before = process.used_before.then(message.used)
         self._mark(process, State.EXITED)
         self.on_exit(process)
         if process.spec.restart is Restart.ALWAYS and not process.stopping:

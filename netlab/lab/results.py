@@ -137,6 +137,7 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
         "duration_s": scenario.duration_s,
         "bring_up_s": final["bring_up_s"],
         **summary(trace),
+        "processes": [_process(row) for row in final["used"]],
         "expectations": [
             {"name": result.name, "passed": result.passed, "measured": result.measured, "limit": result.limit}
             for result in expectations
@@ -151,6 +152,11 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
         tuple(dict.fromkeys(failures)),
         final["worst_stall_s"],
     )
+
+
+def _process(row: dict[str, Any]) -> dict[str, Any]:
+    """What a process has cost. Computing takes no time in virtual time: there its processor time is not known."""
+    return row if clock_here() == "real" else {**row, "cpu_s": None}
 
 
 def needs_packets(scenario: Scenario) -> bool:

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from netlab.lab.usage import Usage
+
 
 @dataclass(frozen=True, slots=True)
 class AddNode:
@@ -45,7 +47,8 @@ class Spawned:
 
 @dataclass(frozen=True, slots=True)
 class Exited:
-    """A child ended; ``status`` is negative for a signal, as in subprocess."""
+    """A child ended; ``status`` is negative for a signal, as in subprocess. ``used``: over its whole life."""
 
     pid: int
     status: int
+    used: Usage

@@ -25,6 +25,7 @@ from netlab.ipc import Channel
 from netlab.kernel import syscalls
 from netlab.lab.isolation import enter_new_node
 from netlab.lab.spawn_messages import AddNode, Exited, Spawn, Spawned
+from netlab.lab.usage import usage_at_end
 
 #: Programs that are called in the forked child instead of executed; the key stands as argv[0].
 BUILTIN_PROGRAMS = {
@@ -96,12 +97,12 @@ class _Spawner:
             self._wake.recv(4096)
         while True:
             try:
-                pid, status = os.waitpid(-1, os.WNOHANG)
+                pid, status, used = os.wait4(-1, os.WNOHANG)
             except ChildProcessError:
                 return
             if pid == 0:
                 return
-            self._channel.send(Exited(pid, os.waitstatus_to_exitcode(status)))
+            self._channel.send(Exited(pid, os.waitstatus_to_exitcode(status), usage_at_end(used)))
 
     def _spawn(self, request: Spawn, fds: list[int]) -> Spawned:
         node = self._nodes[request.node]

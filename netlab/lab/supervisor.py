@@ -55,6 +55,7 @@ class Supervisor:
         self._ending = asyncio.Event()
         self._bring_up_s = 0.0
         self._recorder_stats: dict[str, Any] | None = None
+        self._used: list[dict[str, Any]] = []
         self._notices: list[str] = []
         self._failures: list[str] = []
         self._scenario_task: asyncio.Task[None] | None = None
@@ -166,17 +167,7 @@ class Supervisor:
             "duration_s": self._scenario.duration_s,
             "bring_up_s": self._bring_up_s,
             "nodes": list(self.plan.nodes),
-            "processes": [
-                {
-                    "node": process.spec.node,
-                    "process": process.spec.name,
-                    "state": process.state,
-                    "pid": process.pid,
-                    "exit_status": process.exit_status,
-                    "restarts": process.restarts,
-                }
-                for process in self.processes.all()
-            ],
+            "processes": [process.describe() for process in self.processes.all()],
             "links": [{key: row[key] for key in ("from", "to", "state")} for row in self.links.describe()],
             "streams": self.run.streams,
             "problems": self.run.problems,
@@ -185,6 +176,7 @@ class Supervisor:
             "worst_stall_s": self._stalls.worst_s,
             "capture": str(self._options.capture) if self._options.capture else None,
             "recorder": self._recorder_stats,
+            "used": self._used,
         }
 
     def begin_scenario(self) -> asyncio.Task[None]:
@@ -208,6 +200,7 @@ class Supervisor:
             self._failures.append(f"the scenario could not go on: {error}")
         finally:
             watching.cancel()
+        self._used = [{**process.identity(), **asdict(process.usage())} for process in self.processes.all()]
         self._close_recording()
         self.run.finish()
 

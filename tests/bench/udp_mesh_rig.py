@@ -88,7 +88,7 @@ def hosts(count: int = 2, config: str = "") -> Iterator[list[Host]]:
         made = [_namespace(f"node{n + 1}", folder, config, privileges, stack) for n in range(count)]
         first = made[0]
         if count > 2:
-            _ip(first, "link add br0 type bridge")
+            _ip(first, "link add br0 address 02:00:00:00:00:01 type bridge")  # the same whatever its ports are
             _ip(first, "link set br0 up")
         for number, host in enumerate(made[1:], start=2):
             near = "mesh0" if count == 2 else f"port{number}"
@@ -102,6 +102,14 @@ def hosts(count: int = 2, config: str = "") -> Iterator[list[Host]]:
         for host in made:
             stack.callback(host.stop)
         yield made
+
+
+def cut(made: list[Host], number: int, *, active: bool) -> None:
+    """Lose everything between one host (the second is number 2) and all others silently, or end that; needs a bridge.
+
+    Its carrier stays up: the bridge's port is only taken out of the bridge.
+    """
+    _ip(made[0], f"link set port{number} " + ("nomaster" if active else "master br0"))
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ PAIR = DATA / "pair.yaml"
 
 KEYS = {
     *("scenario", "engine", "clock", "seed", "duration_s", "bring_up_s"),
-    *("streams", "reconnects", "links", "expectations", "capture"),
+    *("streams", "reconnects", "links", "processes", "expectations", "capture"),
 }
 STREAM_KEYS = {
     *("source", "destination", "topic", "priority", "sent", "delivered", "duplicates"),
@@ -44,6 +44,9 @@ def test_json_is_the_promised_object_and_alone_on_stdout(netlab: Any) -> None:
     assert set(reconnect) == {"between", "restored_at_s", "first_delivery_s", "delay_s"}
     assert reconnect["restored_at_s"] == pytest.approx(0.5, abs=0.1)
     assert {(row["from"], row["to"]) for row in answer["links"]} == {("a/eth0", "b/eth0"), ("b/eth0", "a/eth0")}
+    costs = {(row["node"], row["process"]): row for row in answer["processes"]}
+    assert set(costs) == {*((node, "udp_mesh") for node in "ab"), ("a", "traffic-source"), ("b", "traffic-sink")}
+    assert all(0 < row["cpu_s"] < 10 and 5e6 < row["max_rss_bytes"] < 500e6 for row in costs.values())
     assert answer["capture"] == str(netlab.work / "kept" / "run.mcap")
     assert Path(answer["capture"]).stat().st_size > 1000
     assert "2 nodes up" in done.stderr
