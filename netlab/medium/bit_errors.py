@@ -52,8 +52,8 @@ class Code(Enum):
         """Wrong bits over all bits behind the decoder, at most 1/2; ``bit_error_ratio`` is 0..1/2 ahead of it."""
         step, first, increment, weights = self.value
         d = math.sqrt(4 * bit_error_ratio * (1 - bit_error_ratio))
-        total: float = sum(weight * d ** (first + increment * place) for place, weight in enumerate(weights))
-        return min(_WORST, total / (2 * step))
+        terms = (weight * math.pow(d, first + increment * place) for place, weight in enumerate(weights))
+        return min(_WORST, math.fsum(terms) / (2 * step))
 
 
 @dataclass(frozen=True, slots=True)
