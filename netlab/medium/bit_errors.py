@@ -53,7 +53,8 @@ class Code(Enum):
         step, first, increment, weights = self.value
         d = math.sqrt(4 * bit_error_ratio * (1 - bit_error_ratio))
         terms = (weight * math.pow(d, first + increment * place) for place, weight in enumerate(weights))
-        return min(_WORST, math.fsum(terms) / (2 * step))
+        bound: float = math.fsum(terms) / (2 * step)
+        return min(_WORST, bound)
 
 
 @dataclass(frozen=True, slots=True)
