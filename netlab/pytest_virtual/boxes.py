@@ -1,9 +1,10 @@
 """The boxes of a pytest session: one share of the tests each, opened when needed, again if a test broke its box.
 
-Theory. The tests are divided into as many shares as there are workers (xdist), one without workers; every worker
-divides alike. Whoever first needs a test of a share takes its lock and opens its box; a worker that waits for somebody
-else's share opens an idle one meanwhile. Only the lock's holder writes to a share from outside. A worker that dies
-loses the lock, and its box ends by its lifeline; the next one that waits goes on with what is left.
+Theory. The tests are divided into several shares for each worker (xdist), so that none has nothing left to do while
+another has a long share before it; into one without workers. Every worker divides alike. Whoever first needs a test of
+a share takes its lock and opens its box; a worker that waits for somebody else's share opens an idle one meanwhile, one
+at a time. Only the lock's holder writes to a share from outside. A worker that dies loses the lock, and its box ends by
+its lifeline; the next one that waits goes on with what is left.
 
 A test that ends its box (breakdown, time limit, pytest.exit) is lost, with the reason; those behind it get a new box.
 """
@@ -29,6 +30,7 @@ from netlab.vm.run import Box, Streams, open_box
 _LOG, _LOCK = "session.log", "lock"
 _POLL_S = 0.05
 _START_LIMIT_S = 120.0  # collecting the tests, before the first of them begins
+_SHARES_PER_WORKER = 4  # a box costs some seconds to open
 _NO_LIMIT_S = 7 * 24 * 3600.0  # of a whole box; what is limited is each test
 
 
@@ -122,10 +124,14 @@ class Share:
             elif not self._wait(condition):
                 self._judge()
 
-    def close(self) -> None:
-        """End the box, if there is one, and let go of the share."""
+    def end(self) -> None:
+        """End the box, if there is one; nobody needs it any more."""
         self._scope.close()
         self._box = None
+
+    def close(self) -> None:
+        """End the box, if there is one, and let go of the share."""
+        self.end()
         if self._lock >= 0:
             os.close(self._lock)
         self._lock = -1
@@ -172,8 +178,7 @@ class Share:
                 how = f"the session in the box ended early (exit code {self._box.result().exit_code})"
             except BoxError as error:
                 how = str(error)
-        self._scope.close()
-        self._box = None
+        self.end()
         return f"{how}. {last_lines(self.folder / _LOG, 'The session')}"
 
     def _lose(self, tests: list[str], why: str) -> None:
@@ -185,17 +190,17 @@ class Share:
 class Boxes:
     """All shares of a session, as one of its processes sees them."""
 
-    def __init__(self, folder: Path, tests: dict[str, Path], order: Order, *, share_count: int) -> None:
+    def __init__(self, folder: Path, tests: dict[str, Path], order: Order, *, worker_count: int) -> None:
         """Divide the tests.
 
         Args:
             folder: Shared by the processes of the session.
             tests: Node id -> file, in the order of the session.
             order: What to run.
-            share_count: How many boxes at most, >= 1; the same in every process.
+            worker_count: Processes of the session, >= 1; each has at most one box at work.
         """
         ids = list(tests)
-        count = max(1, min(share_count, len(ids)))
+        count = 1 if worker_count == 1 else min(worker_count * _SHARES_PER_WORKER, len(ids))
         bounds = [round(len(ids) * i / count) for i in range(count + 1)]
         parts = [ids[start:end] for start, end in itertools.pairwise(bounds)]
         self.shares = [
@@ -213,10 +218,10 @@ class Boxes:
             return phase in share.records.reports[test] or share.records.settled(test)
 
         while not known():
-            if share.hold():
-                share.drive(known)
+            at_work = self._at_work() or (share if share.hold() else self._idle_one())
+            if at_work is not None:
+                at_work.drive(known)
             else:
-                self._begin_an_idle_one()
                 time.sleep(_POLL_S)
         return share.records.reports[test].get(phase)
 
@@ -235,19 +240,25 @@ class Boxes:
         return [warning for share in self.shares if share.is_held for warning in share.records.warnings]
 
     def finish(self) -> None:
-        """Look after the boxes until all their tests are settled: other workers may wait for them."""
-        for share in self.shares:
-            if share.is_held:
-                share.drive(lambda: False)
+        """Look after the boxes until nothing is left to begin: other workers may wait for them."""
+        while (share := self._at_work() or self._idle_one()) is not None:
+            share.drive(lambda: False)
 
     def close(self) -> None:
         """End all boxes of this process."""
         for share in self.shares:
             share.close()
 
-    def _begin_an_idle_one(self) -> None:
-        if not any(share.is_held for share in self.shares):
-            for share in self.shares:
-                if share.is_idle and share.hold():
-                    share.open()
-                    return
+    def _at_work(self) -> Share | None:
+        """The share that this process looks after and that has tests left."""
+        for share in self.shares:
+            if share.is_held:
+                share.records.refresh()
+                if not share.is_done:
+                    return share
+                share.end()
+        return None
+
+    def _idle_one(self) -> Share | None:
+        """A share that nobody has begun, now this process's."""
+        return next((share for share in self.shares if share.is_idle and share.hold()), None)

@@ -20,6 +20,7 @@ from netlab.pytest_virtual.boxes import Boxes, Order
 from netlab.vm.request import Clock, clean_environment
 
 _NOT_FOR_THE_BOX = {"--pdb", "--trace"}
+_FOLDER_OPTION = "--basetemp"
 _WORKER_VARIABLES = ("PYTEST_XDIST", "PYTEST_CURRENT_TEST")
 _SHARED = "netlab_shared_folder"
 _ARGUMENTS = "netlab_arguments"
@@ -113,7 +114,7 @@ class Outside:
             return
         self._count = len(wanted)
         tests = {item.nodeid: item.path for item in wanted}
-        self._boxes = Boxes(self._shared_folder(), tests, self._order(), share_count=self._worker_count)
+        self._boxes = Boxes(self._shared_folder(), tests, self._order(), worker_count=self._worker_count)
         boxed = set(wanted)
         items[:] = [self._stand_in(item) if item in boxed else item for item in items]
 
@@ -176,7 +177,7 @@ class Outside:
         return self._folder
 
     def _order(self) -> Order:
-        arguments = [word for word in self._arguments if word not in _NOT_FOR_THE_BOX]
+        arguments = _for_the_box(self._arguments)
         if self._config.pluginmanager.hasplugin("xdist"):
             arguments += ["-n0"]
         env = {name: value for name, value in os.environ.items() if not name.startswith(_WORKER_VARIABLES)}
@@ -206,6 +207,18 @@ class Outside:
             self._config.hook.pytest_warning_recorded.call_historic(
                 kwargs={"warning_message": message, "when": "runtest", "nodeid": row["test"], "location": None}
             )
+
+
+def _for_the_box(arguments: list[str]) -> list[str]:
+    """The session's arguments without what has no meaning in a box, which has temporary folders of its own."""
+    words = iter(arguments)
+    kept = []
+    for word in words:
+        if word == _FOLDER_OPTION:
+            next(words, None)
+        elif word not in _NOT_FOR_THE_BOX and not word.startswith(f"{_FOLDER_OPTION}="):
+            kept.append(word)
+    return kept
 
 
 def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:
