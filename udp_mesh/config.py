@@ -20,13 +20,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
-from udp_mesh import config_carriers, config_checks
+from udp_mesh import config_carriers, config_checks, config_neighbours
 from udp_mesh.config_carriers import CarrierConfig
+from udp_mesh.config_neighbours import Neighbour
 from udp_mesh.core import wire
 from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET = ("bridge", "neighbours")
+NOT_YET: tuple[str, ...] = ("bridge",)
 NOT_YET_TOPIC: tuple[str, ...] = ()
 
 
@@ -50,6 +51,9 @@ class Config:
     """Names of the interfaces to use; empty: every one that is up and has IPv4 and broadcast, except loopback."""
     carriers: tuple[CarrierConfig, ...] = config_carriers.DEFAULT
     """What to send and receive by, in a file tables [[carriers]]; see :class:`CarrierConfig`."""
+    neighbours: tuple[Neighbour, ...] | None = None
+    """Addresses (IPv4, IPv6, MAC) to which everything for all goes one by one. Given, also as an empty list, nothing
+    is ever broadcast but on serial lines; who is not listed and sends to this node is answered."""
     payload_bytes: int = 1400
     """Largest datagram, without IP and UDP headers, 256..65000; all of the path must carry it."""
     window: int = 0
@@ -241,6 +245,7 @@ _CHECKS: dict[str, config_checks.Check] = {
     "port": config_checks.number(1, 65535, whole=True),
     "interfaces": config_checks.interfaces,
     "carriers": config_carriers.check,
+    "neighbours": config_neighbours.check,
     "key": config_checks.key,
     "payload_bytes": config_checks.number(256, 65000, whole=True),
     "window": config_checks.number(0, 100_000, whole=True),
@@ -275,6 +280,7 @@ def describe(config: Config) -> dict[str, object]:
     """Return the configuration as plain values, for people and JSON."""
     values: dict[str, object] = {f.name: getattr(config, f.name) for f in fields(config) if f.name != "topics"}
     values["carriers"] = config_carriers.describe(config.carriers)
+    values["neighbours"] = config_neighbours.describe(config.neighbours)
     values["key"] = [f"id {key_id(key):02x}" for key in config.key]  # never the key itself
     values["topics"] = {name: describe_policy(policy) for name, policy in config.topics.items()}
     return values

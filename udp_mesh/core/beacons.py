@@ -15,11 +15,11 @@ from __future__ import annotations
 
 from udp_mesh.core import wire
 from udp_mesh.core.airtime import airtime_s
+from udp_mesh.core.broadcasts import Broadcasts
 from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.peer import NEVER_S, Path
 from udp_mesh.core.search import PROBE_BYTES
 from udp_mesh.core.state import NodeState
-from udp_mesh.core.transmit import Transmitter
 
 ANYBODY = 0  # in place of a tag; no node has it
 JITTER = 0.1
@@ -40,9 +40,9 @@ _FOREVER_S = float("inf")
 class Beacons:
     """This node's own beacons and answers."""
 
-    def __init__(self, state: NodeState, transmitter: Transmitter, *, now: float) -> None:
+    def __init__(self, state: NodeState, broadcasts: Broadcasts, *, now: float) -> None:
         self._state = state
-        self._transmitter = transmitter
+        self._broadcasts = broadcasts
         self._at_s = now
         self._starts_sent = 0
         self._omitted = 0
@@ -125,7 +125,7 @@ class Beacons:
 
     def introductions(self) -> list[Datagram]:
         """Return the unicasts to strangers."""
-        out = [self._transmitter.stray(path, tag, frames) for (path, tag), frames in self._introductions.items()]
+        out = [self._broadcasts.stray(path, tag, frames) for (path, tag), frames in self._introductions.items()]
         self._introductions.clear()
         return out
 
@@ -143,7 +143,7 @@ class Beacons:
     def _beacon_airtime_s(self) -> float:
         settings = self._state.settings
         size_bytes = wire.HEADER_BYTES + wire.HELLO_BYTES + len(settings.name.encode())
-        return airtime_s(size_bytes, channel_bps=settings.channel_bps)
+        return self._state.broadcast_copies * airtime_s(size_bytes, channel_bps=settings.channel_bps)
 
     def max_tags(self) -> int:
         """Return how many tags an answer and a probe may hold, each, if both leave in one datagram."""

@@ -14,22 +14,26 @@ NEVER_S = float("-inf")
 class Path(NamedTuple):
     """Where datagrams go: a carrier (by the number its owner gave it) and an address there.
 
-    The core does not look into the address; the empty one means every node on the carrier.
+    The core does not look into the address; the empty one means every node on the carrier. ``via``: 0 if the node
+    itself is there; otherwise a bridge is, and this is the number of the link behind it (``NodeState.links``).
     """
 
     carrier: int
     address: str
+    via: int = 0
 
 
 @dataclass(slots=True)
 class Carrier:
-    """A way to reach other nodes, one datagram at a time, each to one of them or to all."""
+    """A way to reach other nodes, one datagram at a time, each to one of them or to all; or a link behind a bridge."""
 
     index: int
     mtu_bytes: int = UNLIMITED_BYTES
     """Longest datagram that fits, without the carrier's own headers."""
     rate_bps: float = 0.0
     """What it carries, where that is known and slow (a serial line); 0: congestion control finds out."""
+    neighbours: tuple[str, ...] | None = None
+    """Addresses to which broadcasts go one by one; None: the carrier has a broadcast."""
     busy_until_s: float = NEVER_S
     """When what was sent has left; only where the rate is known."""
     control_at_s: float = NEVER_S

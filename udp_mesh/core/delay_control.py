@@ -16,6 +16,7 @@ waiting there, so flows share fairly. What differs from the paper:
   falls to a lower rate takes longer for each packet, which looks like a queue but is none. So every
   ``DRAIN_INTERVAL_S``, or after ``BUSY_ROUNDS`` with a queue that will not go, one round keeps so much less in flight
   that the queue runs empty, and the least delay seen then is the base from there on.
+* Where the carrier's rate is known beforehand, the window begins with that rate times ``INITIAL_RTT_S``.
 * Loss alone says nothing on a radio. Only loss of more than ``HEAVY_LOSS_RATIO`` over whole windows shrinks the window.
 * Packets leave at ``PACING_GAIN`` times window per round trip. A few urgent packets may exceed window and pace.
 """
@@ -26,7 +27,7 @@ import math
 from collections import deque
 
 from udp_mesh.core.congestion import AckSample
-from udp_mesh.core.rtt import RttEstimator
+from udp_mesh.core.rtt import INITIAL_RTT_S, RttEstimator
 from udp_mesh.core.windowed import WindowedMinimum
 
 TARGET_PACKETS = 0.5
@@ -62,11 +63,13 @@ class DelayControl:
 
     urgent_packets = URGENT_PACKETS
 
-    def __init__(self, *, datagram_bytes: int, now: float) -> None:
+    def __init__(self, *, datagram_bytes: int, rate_bps: float = 0.0, now: float) -> None:
+        """Begin with an unknown path; ``rate_bps``: what it is said to carry, 0 if nobody knows."""
         self.datagram_bytes = self._most_datagram_bytes = datagram_bytes
-        self.rate_bps = 0.0
+        self.rate_bps = rate_bps
         self.queue_delay_s = 0.0
-        self._cwnd = float(INITIAL_PACKETS * datagram_bytes)
+        hint_bytes = max(rate_bps / 8 * INITIAL_RTT_S, MIN_PACKETS * datagram_bytes)
+        self._cwnd = hint_bytes if rate_bps else float(INITIAL_PACKETS * datagram_bytes)
         self._held_back_bytes = 0.0  # of the window, while the queue is drained
         self._rtt_s = 0.0
         self._base = WindowedMinimum()

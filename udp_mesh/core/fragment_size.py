@@ -22,7 +22,7 @@ def datagram_bytes(state: NodeState, to: str, *, topic_bytes: int, size_bytes: i
         peers = [peer for peer in state.peers.values() if peer.is_online]
     else:
         peers = [state.peers[to]] if to in state.peers else []
-    most = min((state.packet_bytes(peer.path.carrier) for peer in peers), default=state.settings.packet_bytes)
+    most = min((state.packet_bytes(peer.path) for peer in peers), default=state.settings.packet_bytes)
     wanted = min((peer.congestion.datagram_bytes for peer in peers), default=most)
     needed = overhead + max(
         1 + topic_bytes + _LEAST_PAYLOAD_BYTES, -(-(size_bytes + topic_bytes) // wire.MAX_FRAGMENTS) + 1

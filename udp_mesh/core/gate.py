@@ -6,7 +6,6 @@ take is charged to the pace of every peer, so that unicasts and broadcasts toget
 
 from __future__ import annotations
 
-from udp_mesh.core.carriers import NEVER_S
 from udp_mesh.core.coordination import Coordination
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.pacer import Pacer
@@ -31,7 +30,7 @@ class Gate:
         if transfer.peer == BROADCAST_NAME:
             return bool(self._state.carriers) and self._broadcast_pacer.next_at_s <= now and not yields
         peer = self._state.peers[transfer.peer]
-        if not peer.is_online or self._carrier_free_at_s(peer) > now:
+        if not peer.is_online or self._state.free_at_s(peer.path) > now:
             return False
         if peer.session.probe_credits > 0:
             return True
@@ -62,15 +61,10 @@ class Gate:
         peer = self._state.peers[transfer.peer]
         if not peer.is_online:
             return None
-        opens_at_s = max(self._carrier_free_at_s(peer), yield_until_s)
+        opens_at_s = max(self._state.free_at_s(peer.path), yield_until_s)
         if not self.has_window(peer):
             return opens_at_s if opens_at_s > now else None
         return max(peer.pacer.next_at_s, opens_at_s)
-
-    def _carrier_free_at_s(self, peer: Peer) -> float:
-        """Return when a carrier of known rate has sent what it was given: what waits there, priorities do not rule."""
-        carrier = self._state.carriers.get(peer.path.carrier)
-        return NEVER_S if carrier is None else carrier.busy_until_s
 
     def on_broadcast(self, size_bytes: int, *, now: float) -> None:
         """Charge a broadcast to every pace."""

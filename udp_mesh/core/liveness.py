@@ -48,9 +48,9 @@ class Liveness:
     def __init__(self, state: NodeState, outbox: Outbox, transmitter: Transmitter, *, now: float) -> None:
         self._state = state
         self._outbox = outbox
-        self._transmitter = transmitter
+        self._broadcasts = transmitter.broadcasts
         self.router = Router(state, outbox)
-        self._beacons = Beacons(state, transmitter, now=now)
+        self._beacons = Beacons(state, transmitter.broadcasts, now=now)
         self._search = Search(state)
 
     # -- what was heard
@@ -90,7 +90,7 @@ class Liveness:
     def _discover(self, epoch: int, name: str, path: Path, *, now: float) -> Peer:
         state = self._state
         session = Session(epoch, state.memory, now=now)
-        peer = Peer(name, session, path, state.new_congestion(path.carrier, now=now), now=now)
+        peer = Peer(name, session, path, state.new_congestion(path, now=now), now=now)
         state.peers[name] = peer
         self._begin_session(peer, PeerUpReason.DISCOVERED, now=now)
         return peer
@@ -140,9 +140,12 @@ class Liveness:
         peer.pacer.reset()
         self._state.events.append(PeerUp(now, peer.name, peer.session.epoch, peer.path.address, reason))
 
-    def on_probe(self, epoch: int, tags: tuple[int, ...], heard: tuple[int, ...], *, now: float) -> None:
+    def on_probe(self, epoch: int, tags: tuple[int, ...], heard: tuple[int, ...], path: Path, *, now: float) -> None:
         """Answer a node that looks for us, or that asks everybody except those that it has ``heard``."""
-        if self._state.tag in tags:
+        is_asked = self._state.tag in tags or (ANYBODY in tags and self._state.tag not in heard)
+        if is_asked and not self._state.has_broadcast(path):
+            self._beacons.introduce(epoch, path, ask=False, now=now)
+        elif self._state.tag in tags:
             self._beacons.answer(epoch)
         elif ANYBODY in tags and self._state.tag not in heard:
             peer = self._state.by_epoch.get(epoch)
@@ -204,7 +207,7 @@ class Liveness:
         sought = self._search.tags(limit=self._beacons.max_tags(), now=now)
         if sought:
             frames = (frames or self._beacons.hello()) + wire.encode_probe(sought)
-        out = self._transmitter.broadcast(frames, is_control=True, now=now) if frames else []
+        out = self._broadcasts.control(frames, now=now) if frames else []
         return out + self._beacons.introductions()
 
     def report_purged(self, peer: Peer, purged: list[tuple[int, Partial]], *, is_settled: bool, now: float) -> None:

@@ -62,15 +62,24 @@ class MeshCore:
         """The settings in force."""
         return self._state.settings
 
-    def add_carrier(self, carrier: int, *, mtu_bytes: int = UNLIMITED_BYTES, rate_bps: float = 0.0) -> None:
+    def add_carrier(
+        self,
+        carrier: int,
+        *,
+        mtu_bytes: int = UNLIMITED_BYTES,
+        rate_bps: float = 0.0,
+        neighbours: tuple[str, ...] | None = None,
+    ) -> None:
         """Broadcast on this carrier from now on; its beacon leaves with the next one due.
 
         Args:
             carrier: Its number, as in every :class:`Path`.
             mtu_bytes: Longest datagram that fits, without the carrier's own headers.
             rate_bps: What it carries, where that is known and slow; 0 leaves it to congestion control.
+            neighbours: Addresses to which broadcasts go one by one, besides those of peers that are heard; None: the
+                carrier has a broadcast.
         """
-        self._state.carriers[carrier] = Carrier(carrier, mtu_bytes, rate_bps)
+        self._state.carriers[carrier] = Carrier(carrier, mtu_bytes, rate_bps, neighbours)
 
     def remove_carrier(self, carrier: int) -> None:
         """Stop using a carrier; peers behind it are heard elsewhere or fall silent."""
@@ -257,5 +266,5 @@ class MeshCore:
         self._now = now
         if window_changes:
             for peer in state.peers.values():
-                peer.congestion = state.new_congestion(peer.path.carrier, now=now)
+                peer.congestion = state.new_congestion(peer.path, now=now)
                 peer.pacer.reset()

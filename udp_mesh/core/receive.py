@@ -75,7 +75,7 @@ class Receiver:
         is_for_us = packet.destination_tag in (0, self._state.tag)
         if packet.probes and is_for_us:
             heard = packet.beacons[0].heard if packet.beacons else ()
-            self._liveness.on_probe(packet.epoch, packet.probes, heard, now=now)
+            self._liveness.on_probe(packet.epoch, packet.probes, heard, path, now=now)
         if peer is None:
             return
         if not is_for_us:

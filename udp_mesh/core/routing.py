@@ -45,12 +45,12 @@ class Router:
 
     def _use(self, peer: Peer, path: Path, *, now: float) -> None:
         state = self._state
-        state.events.append(PathChanged(now, peer.name, *peer.path, *path))
-        before = state.packet_bytes(peer.path.carrier)
+        state.events.append(PathChanged(now, peer.name, *peer.path[:2], *path[:2]))
+        before = state.packet_bytes(peer.path)
         peer.path = path
-        room = state.packet_bytes(path.carrier)
+        room = state.packet_bytes(path)
         if room != before:
-            peer.congestion = state.new_congestion(path.carrier, now=now)
+            peer.congestion = state.new_congestion(path, now=now)
             peer.pacer.reset()
         if room < before:
             self._refit(peer, room, now=now)

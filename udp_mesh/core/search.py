@@ -67,7 +67,8 @@ class Search:
             self._searchers.clear()
         name_bytes = len(self._state.settings.name.encode())
         size_bytes = wire.HEADER_BYTES + wire.HELLO_BYTES + name_bytes + len(wire.encode_probe([0])) + 4 * sought
-        own_s = airtime_s(size_bytes, channel_bps=self._state.settings.channel_bps) / PROBE_SHARE
+        once_s = airtime_s(size_bytes, channel_bps=self._state.settings.channel_bps)
+        own_s = self._state.broadcast_copies * once_s / PROBE_SHARE
         return (1 + others) * (max(own_s, PROBE_INTERVAL_S) if others else own_s)
 
     def _sought(self, *, now: float) -> list[Peer]:

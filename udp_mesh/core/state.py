@@ -6,7 +6,7 @@ from collections import Counter, deque
 from random import Random
 
 from udp_mesh.core import wire
-from udp_mesh.core.carriers import Carrier, Path
+from udp_mesh.core.carriers import NEVER_S, UNLIMITED_BYTES, Carrier, Path
 from udp_mesh.core.congestion import CongestionControl, FixedWindow
 from udp_mesh.core.delay_control import DelayControl
 from udp_mesh.core.events import Event
@@ -30,6 +30,7 @@ class NodeState:
         self.by_epoch: dict[int, Peer] = {}
         self.broadcast = Lane(BROADCAST_NAME)
         self.carriers: dict[int, Carrier] = {}
+        self.links: dict[int, Carrier] = {}  # behind bridges, by the ``via`` of paths
         self.events: deque[Event] = deque()
         self.counters: Counter[str] = Counter()
         self.next_message_id = 0
@@ -49,30 +50,56 @@ class NodeState:
             next(iter(lane.transfers), self.next_message_id), next(iter(self.broadcast.transfers), self.next_message_id)
         )
 
-    def packet_bytes(self, carrier: int) -> int:
-        """Return the largest datagram for a carrier, before it is sealed."""
-        known = self.carriers.get(carrier)
-        beyond = 0 if known is None else max(0, self.settings.payload_bytes - known.mtu_bytes)
-        return self.settings.packet_bytes - beyond
+    def hops(self, path: Path) -> list[Carrier]:
+        """Return the carrier of a path, and the link behind the bridge if there is one."""
+        hops = (self.carriers.get(path.carrier), self.links.get(path.via) if path.via else None)
+        return [hop for hop in hops if hop is not None]
 
-    def is_rated(self, path: Path) -> bool:
-        """Whether what the path's carrier takes is known beforehand."""
-        carrier = self.carriers.get(path.carrier)
-        return carrier is not None and carrier.rate_bps > 0
+    def packet_bytes(self, path: Path) -> int:
+        """Return the largest datagram for a path, before it is sealed."""
+        mtu_bytes = min((hop.mtu_bytes for hop in self.hops(path)), default=UNLIMITED_BYTES)
+        return self.settings.packet_bytes - max(0, self.settings.payload_bytes - mtu_bytes)
+
+    def rate_bps(self, path: Path) -> float:
+        """Return what a path carries where that is known beforehand, else 0."""
+        return min((hop.rate_bps for hop in self.hops(path) if hop.rate_bps), default=0.0)
 
     def charge(self, path: Path, size_bytes: int, *, now: float) -> None:
-        """Charge a datagram to its carrier."""
+        """Charge a datagram to what carries it."""
+        for hop in self.hops(path):
+            hop.on_sent(size_bytes, now=now)
+
+    def free_at_s(self, path: Path) -> float:
+        """Return when a path of known rate has sent what it was given: what waits there, priorities do not rule."""
+        return max((hop.busy_until_s for hop in self.hops(path)), default=NEVER_S)
+
+    def broadcast_paths(self, carrier: Carrier) -> list[Path]:
+        """Return where a broadcast goes: to all at once, or where neighbours are fixed, to each and to who is heard."""
+        if carrier.neighbours is None:
+            return [Path(carrier.index, "")]
+        heard = [p.path.address for p in self.peers.values() if p.is_online and p.path.carrier == carrier.index]
+        return [Path(carrier.index, address) for address in dict.fromkeys((*carrier.neighbours, *heard))]
+
+    def has_broadcast(self, path: Path) -> bool:
+        """Whether what is broadcast reaches whoever is behind this path."""
         carrier = self.carriers.get(path.carrier)
-        if carrier is not None:
-            carrier.on_sent(size_bytes, now=now)
+        return not path.via and carrier is not None and carrier.neighbours is None
+
+    @property
+    def broadcast_copies(self) -> int:
+        """How many datagrams a broadcast is on the carrier where it is most, at least 1."""
+        return max((len(self.broadcast_paths(carrier)) for carrier in self.carriers.values()), default=1) or 1
 
     @property
     def broadcast_bytes(self) -> int:
-        """Largest datagram that fits every carrier, before it is sealed."""
-        return min((self.packet_bytes(carrier) for carrier in self.carriers), default=self.settings.packet_bytes)
+        """Largest datagram that fits every carrier, and every bridged peer's link, before it is sealed."""
+        paths = [Path(carrier, "") for carrier in self.carriers]
+        if self.links:
+            paths += [peer.path for peer in self.peers.values() if peer.is_online and peer.path.via]
+        return min(map(self.packet_bytes, paths), default=self.settings.packet_bytes)
 
-    def new_congestion(self, carrier: int, *, now: float) -> CongestionControl:
+    def new_congestion(self, path: Path, *, now: float) -> CongestionControl:
         """Return the congestion control that the settings ask for."""
         if self.settings.window:
-            return FixedWindow(self.settings.window, datagram_bytes=self.packet_bytes(carrier))
-        return DelayControl(datagram_bytes=self.packet_bytes(carrier), now=now)
+            return FixedWindow(self.settings.window, datagram_bytes=self.packet_bytes(path))
+        return DelayControl(datagram_bytes=self.packet_bytes(path), rate_bps=self.rate_bps(path), now=now)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from udp_mesh.core import wire
-from udp_mesh.core.carriers import MAX_BROADCAST_WAIT_S
+from udp_mesh.core.broadcasts import Broadcasts
 from udp_mesh.core.coordination import Coordination
 from udp_mesh.core.copies import Copies
 from udp_mesh.core.datagram import CONTROL_PRIORITY, Datagram
@@ -32,7 +32,7 @@ class Transmitter:
     def __init__(self, state: NodeState, outbox: Outbox) -> None:
         self._state = state
         self._outbox = outbox
-        self._broadcast_number = 0
+        self.broadcasts = Broadcasts(state)
         self._copies = Copies()
         self._coordination = Coordination(state)
         self._gate = Gate(state, self._coordination)
@@ -49,7 +49,7 @@ class Transmitter:
             scheduler.push(copied)
         announcement = self._coordination.announcement(now=now)
         if announcement:
-            out.extend(self.broadcast(announcement, is_control=True, now=now))
+            out.extend(self.broadcasts.control(announcement, now=now))
 
         def can_send(transfer: Transfer) -> bool:
             return self._gate.may_send(transfer, now=now)
@@ -82,33 +82,8 @@ class Transmitter:
                 out.append(self._run(peer, transfer, count, now=now))
             else:
                 out.append(self._data(peer, transfer, now=now))
-        self._coordination.on_sent(priority, len(out[-1].data), capacity_bps=capacity_bps, now=now)
+        self._coordination.on_sent(priority, len(out[-1].data) if out else 0, capacity_bps=capacity_bps, now=now)
         return count
-
-    def broadcast(self, frames: bytes, *, priority: int = 0, is_control: bool = False, now: float) -> list[Datagram]:
-        """Return one unacknowledged datagram per carrier with room; ``is_control`` takes but a part of slow ones."""
-        header = wire.encode_header(
-            epoch=self._state.epoch,
-            destination_tag=0,
-            packet_number=self._broadcast_number,
-            flags=wire.FLAG_UNNUMBERED,
-        )
-        self._broadcast_number += 1
-        data, out = header + frames, []
-        for index, carrier in self._state.carriers.items():
-            if carrier.busy_until_s > now + MAX_BROADCAST_WAIT_S:
-                self._state.counters["broadcasts_too_late"] += 1
-            elif not is_control or carrier.may_control(len(data), now=now):
-                carrier.on_sent(len(data), now=now)
-                out.append(Datagram(Path(index, ""), data, 0, priority))
-        return out
-
-    def stray(self, path: Path, tag: int, frames: bytes) -> Datagram:
-        """Return a unicast to somebody with whom there is no session; it is never acknowledged."""
-        header = wire.encode_header(
-            epoch=self._state.epoch, destination_tag=tag, packet_number=wire.MAX_NUMBER, flags=wire.FLAG_UNNUMBERED
-        )
-        return Datagram(path, header + frames)
 
     def next_timer(self, *, now: float) -> float | None:
         """Return when something may leave that cannot leave now; ``now`` if more waits than one turn takes."""
@@ -143,7 +118,7 @@ class Transmitter:
         session.greeting, session.control = [], []
         path = peer.ack_path(self._state.carriers) if session.acks.has_pending else peer.path
         if session.acks.has_pending:
-            room_bytes = self._state.packet_bytes(path.carrier) - wire.HEADER_BYTES - sum(map(len, frames))
+            room_bytes = self._state.packet_bytes(path) - wire.HEADER_BYTES - sum(map(len, frames))
             frames.append(session.acks.take(room_bytes=room_bytes, now=now))
         parts: list[tuple[Transfer, int]] | None = None
         if session.ping_wanted:
@@ -158,7 +133,7 @@ class Transmitter:
         message, index = transfer.message, transfer.peek()
         if index is None or index + 2 >= message.fragment_count or message.leaves_twice:
             return 1
-        if self._state.is_rated(peer.path):  # one by one, so that something urgent need not wait for a run
+        if self._state.rate_bps(peer.path):  # one by one, so that something urgent need not wait for a run
             return 1
         packet_bytes = wire.HEADER_BYTES + message.fragment_bytes(index)
         window = (congestion.cwnd_bytes - session.recovery.in_flight_bytes) // packet_bytes
@@ -287,12 +262,12 @@ class Transmitter:
         peer.pacer.on_sent(size_bytes, count=count, rate_bps=peer.congestion.pacing_rate_bps, now=now)
 
     def _send_broadcast(self, transfer: Transfer, out: list[Datagram], *, now: float) -> None:
-        number = self._broadcast_number
+        number = self.broadcasts.next_number
         self._note_fragment(transfer, 0, number, now=now)
         frames = b"".join(transfer.message.fragment(0))
-        datagrams = self.broadcast(frames, priority=transfer.message.policy.priority, now=now)
+        datagrams = self.broadcasts.data(frames, priority=transfer.message.policy.priority, now=now)
         out.extend(datagrams)
-        self._gate.on_broadcast(max((len(d.data) for d in datagrams), default=0), now=now)
+        self._gate.on_broadcast(len(datagrams[0].data) * self._state.broadcast_copies if datagrams else 0, now=now)
         transfer.advance(number)
         self._copies.note_sent(transfer, 0, now=now)
         if not transfer.has_copy(0):

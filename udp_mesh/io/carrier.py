@@ -27,6 +27,8 @@ class CarrierFacts:
     """Longest datagram, without the carrier's own headers."""
     rate_bps: float = 0.0
     baud: int = 0
+    neighbours: tuple[str, ...] | None = None
+    """Addresses of fixed neighbours; None: broadcast."""
 
 
 class CarrierSocket(Protocol):

@@ -51,6 +51,10 @@ def list_carriers(config: Config) -> list[CarrierFacts]:
                 continue
             for facts in _interfaces(probe, carrier.kind, carrier.interfaces or config.interfaces):
                 found[facts.index] = facts
+    if config.neighbours is not None:
+        from udp_mesh.io.neighbours import with_neighbours  # only for whom it concerns
+
+        return with_neighbours(list(found.values()), config.neighbours)
     return list(found.values())
 
 

@@ -83,7 +83,9 @@ class Node:
                 carrier = open_carrier(facts, self._config, self._counters)
                 self._carriers[index] = carrier
                 self._selector.register(carrier, selectors.EVENT_READ)
-                self._core.add_carrier(index, mtu_bytes=facts.mtu_bytes, rate_bps=facts.rate_bps)
+                self._core.add_carrier(
+                    index, mtu_bytes=facts.mtu_bytes, rate_bps=facts.rate_bps, neighbours=facts.neighbours
+                )
 
     def _close_carrier(self, index: int) -> None:
         self._core.remove_carrier(index)
