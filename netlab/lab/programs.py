@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from netlab.engines.base import LabPlan
+from netlab.engines.plan import compile_plan
 from netlab.lab.process import ProcessSpec, Restart
 from netlab.lab.traffic import StreamSpec, encode_streams
 from netlab.medium.segments import WifiMode
@@ -19,7 +21,7 @@ SOURCE = "traffic-source"
 SINK = "traffic-sink"
 
 
-def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessSpec]:
+def node_processes(scenario: Scenario, node: str, folder: Path, plan: LabPlan | None = None) -> list[ProcessSpec]:
     """The scenario's own processes of a node; writes the configuration that they need below ``folder``."""
     specs = []
     for process in scenario.nodes[node].processes:
@@ -27,7 +29,7 @@ def node_processes(scenario: Scenario, node: str, folder: Path) -> list[ProcessS
             config = folder / f"{node}.udp_mesh.toml"
             store = {"store": str(folder / f"{node}.udp_mesh.db")}
             config.touch(mode=0o600)  # it may hold the team's key
-            config.write_text(tomli_w.dumps(daemon_config(scenario, node) | store))
+            config.write_text(tomli_w.dumps(daemon_config(scenario, node, plan) | store))
             argv: tuple[str, ...] = ("udp-mesh-daemon", "--config", str(config))
             argv += ("--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}", "--seed", f"{scenario.seed}/{node}")
         else:
@@ -52,9 +54,14 @@ def mesh_environment(scenario: Scenario, node: str) -> dict[str, str]:
     return {} if mesh is None else {"NETLAB_MESH_INTERFACE": mesh.ifname}
 
 
-def daemon_config(scenario: Scenario, node: str) -> dict[str, Any]:
-    """The udp_mesh daemon's configuration in one node: the scenario's settings and the topics that it publishes."""
+def daemon_config(scenario: Scenario, node: str, plan: LabPlan | None = None) -> dict[str, Any]:
+    """The udp_mesh daemon's configuration in one node: the scenario's settings and the topics that it publishes.
+
+    ``plan``: where nodes have their addresses, the scenario's own if None.
+    """
     settings = scenario.mesh_settings(node)
+    if "neighbours" in settings:
+        settings["neighbours"] = neighbour_addresses(plan or compile_plan(scenario), node, settings["neighbours"])
     topics: dict[str, dict[str, Any]] = {}
     for entry in (entry for entry in scenario.traffic if entry.from_ == node):
         topic: dict[str, Any] = {
@@ -163,6 +170,22 @@ def neighbours(plan: LabPlan, node: str) -> set[str]:
             if plan.ports[sender].node == node and (receiver, sender) in segment.pairs:
                 found.add(plan.ports[receiver].node)
     return found
+
+
+def neighbour_addresses(plan: LabPlan, node: str, names: Sequence[str]) -> list[str]:
+    """IPv4 addresses of the named nodes, on every link, radio and mesh that they share with ``node``, in range or not.
+
+    The node itself is left out, so that one list may stand for all.
+    """
+    found = []
+    mine = {interface.kind for interface in plan.meshes if interface.node == node}
+    if mine:
+        found = [m.address for m in plan.meshes if m.node in names and m.node != node and m.kind in mine]
+    for segment in () if mine else plan.segments:
+        if node in {plan.ports[index].node for index in segment.ports}:
+            ports = [plan.ports[index] for index in segment.ports]
+            found += [p.address for p in ports if p.node in names and p.node != node and p.address is not None]
+    return [address.partition("/")[0] for address in found]
 
 
 def _traffic(node: str, name: str, own: list[StreamSpec], extra: list[str]) -> ProcessSpec:

@@ -96,7 +96,8 @@ class Supervisor:
         keep = keep_paths(sys.prefix, sys.base_prefix, self._folder.path, *self._options.keep_visible)
         for node in self.plan.nodes:
             self.processes.add_node(node, self._engine.namespace_fds[node], text, keep)
-        specs = [spec for node in self.plan.nodes for spec in node_processes(self._scenario, node, self._folder.path)]
+        folder = self._folder.path
+        specs = [s for node in self.plan.nodes for s in node_processes(self._scenario, node, folder, self.plan)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
         self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
 

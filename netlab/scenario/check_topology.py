@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from netlab.scenario.base import suggestion
-from netlab.scenario.check_mesh import check_meshes
+from netlab.scenario.check_mesh import check_meshes, why_apart
 from netlab.scenario.document import Path
 from netlab.scenario.generate import MAX_LINKS
 from netlab.scenario.links import Ends
@@ -46,9 +46,24 @@ def check_topology(scenario: Scenario, doubt: Doubt) -> Iterator[Problem]:
     yield from _node_names(scenario)
     yield from _links(scenario, names)
     yield from check_meshes(scenario)
+    yield from _neighbours(scenario, names)
     if scenario.radio is not None:
         yield from _radio_pairs(scenario, scenario.radio, names)
         yield from _radio_trace(scenario, scenario.radio, names)
+
+
+def _neighbours(scenario: Scenario, names: Names) -> Iterator[Problem]:
+    """Fixed neighbours of udp_mesh: nodes that exist, and those of one node joined to it."""
+    for position, name in enumerate(scenario.udp_mesh.neighbours or ()):
+        if complaint := names.complaint(name):
+            yield ("udp_mesh", "neighbours", position), complaint
+    for node, settings in ((name, node.udp_mesh) for name, node in scenario.nodes.items()):
+        for position, name in enumerate((settings.neighbours if settings else None) or ()):
+            path: Path = ("nodes", node, "udp_mesh", "neighbours", position)
+            if complaint := names.complaint(name):
+                yield path, complaint
+            elif name in scenario.nodes and name != node and names.certain and not scenario.reaches(node, name):
+                yield path, f"'{node}' and '{name}' {why_apart(scenario, node, name)}"
 
 
 def _node_names(scenario: Scenario) -> Iterator[Problem]:

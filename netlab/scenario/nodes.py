@@ -104,7 +104,7 @@ class MeshSettings(StrictModel):
     floor: Annotated[float, Quantity(RATIO, maximum=0.5)] | None = None
     key: Annotated[TeamKey | tuple[TeamKey, ...], BeforeValidator(_quoted_key)] | None = None
     bridge: NotYet = None
-    neighbours: NotYet = None
+    neighbours: tuple[str, ...] | None = None
 
     def daemon_config(self) -> dict[str, Any]:
         """The keys that are given, as the daemon's configuration names them (times in seconds, sizes in bytes)."""

@@ -203,7 +203,7 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
                 },
                 "nodes": {"a": {"waypoints": [[0, 0]], "speed": "1m/s", "carried_by": "b", "mesh": "wnet"}, "b": {}},
                 "events": [{"at": "0s", "deploy": "a"}],
-                "udp_mesh": {"neighbours": []},
+                "udp_mesh": {"bridge": "on"},
             }
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]
