@@ -136,6 +136,8 @@ SIZE = Dimension(
 RATIO = Dimension("a percentage", "2%", {"%": Decimal("0.01")}, ("%",))
 FREQUENCY = Dimension("a frequency", "10Hz", _units(Hz="1", kHz="1e3", MHz="1e6", GHz="1e9"), ("Hz", "kHz", "MHz"))
 POWER = Dimension("a power", "-95dBm", _units(dBm="1"), ("dBm",))
+DECIBELS = Dimension("decibels", "20dB", _units(dB="1", dBi="1"), ("dB",))
+ANGLE = Dimension("an angle", "60deg", _units(deg="1"), ("deg",))
 SPEED = Dimension("a speed", "1.5m/s", {"m/s": Decimal(1), "km/h": Decimal(1000) / Decimal(3600)}, ("m/s",))
 LENGTH = Dimension("a length", "4m", _units(cm="0.01", m="1", km="1000"), ("cm", "m", "km"))
 
