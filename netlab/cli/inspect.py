@@ -148,6 +148,7 @@ def _life_json(life: MessageLife, at_s: float) -> dict[str, object]:
         "receipts": life.receipts,
         "fragments": life.fragments,
         "retransmissions": life.retransmissions,
+        "copies": life.copies,
     }
 
 

@@ -30,6 +30,7 @@ from netlab.traces.model import (
 from udp_mesh.core.wire import tag_of
 
 _KINDS = frozenset(Kind) - {Kind.LOG}
+_COPY_WITHIN_NS = 1_000_000_000  # between a daemon's event and its packet; a restarted daemon begins its numbers anew
 
 
 def load_trace(path: Path | str) -> Trace:
@@ -56,6 +57,9 @@ class _Loader:
         self._nodes: dict[int, str] = {}  # an epoch's tag -> the node that sends with it
         self._packet_links: PacketLinks | None = None  # only where the medium tells no verdicts
         self._tags: list[int] = []  # destination tag per fragment, in the order of loading
+        self._packet_numbers: list[int] = []  # likewise
+        self._copies: dict[tuple[str, str, int, int, int], list[int]] = {}  # when: by node, peer, packet and fragment
+        self._wire_ids: dict[tuple[str, int], int] = {}  # of messages that were begun anew, by node and first id
         self._fragments: list[Fragment] = []
         self._messages: dict[tuple[str, int, int], tuple[int, int]] = {}
         self._interfaces: dict[tuple[str, str | None], Interface] = {}  # by (node, segment)
@@ -117,6 +121,7 @@ class _Loader:
             if piece.topic is not None and (header := traffic_of(piece.payload)):
                 self._messages[key] = (header.stream, header.seq)
             self._tags.append(0 if mesh.is_broadcast else mesh.destination_tag)
+            self._packet_numbers.append(mesh.packet_number)
             self._fragments.append(
                 Fragment(
                     record.t_ns,
@@ -139,10 +144,12 @@ class _Loader:
 
     def finish(self, notes: list[str]) -> Trace:
         trace = self._trace
-        for fragment, tag in zip(self._fragments, self._tags, strict=True):
+        for fragment, tag, number in zip(self._fragments, self._tags, self._packet_numbers, strict=True):
             message = self._messages.get((fragment.node, fragment.epoch, fragment.message_id))
             destination = fragment.destination or self._nodes.get(tag, "")
-            whole = replace(fragment, destination=destination, message=message)
+            copies = self._copies.get((fragment.node, destination, number, fragment.message_id, fragment.index), ())
+            is_copy = any(abs(fragment.t_ns - t_ns) < _COPY_WITHIN_NS for t_ns in copies)
+            whole = replace(fragment, destination=destination, message=message, is_copy=is_copy)
             trace.fragments.setdefault(fragment.node, []).append(whole)
         if self._packet_links is not None:
             trace.links = self._packet_links.counts()
@@ -210,9 +217,16 @@ class _Loader:
             case "window":
                 window = Window(record.t_ns, record.number("cwnd_bytes"), record.number("in_flight_bytes"))
                 trace.windows.setdefault(pair, []).append(window)
+            case "fragment_copied":
+                number, index = record.number("packet_number"), record.number("fragment_index")
+                copy = (*pair, number, record.number("message_id"), index)
+                self._copies.setdefault(copy, []).append(record.t_ns)
+            case "message_begun_anew":
+                self._wire_ids[record.node, record.number("message_id")] = record.number("wire_id")
             case "message_dropped":
                 key = (record.node, record.number("message_id"))
-                trace.dropped_ns.setdefault(key, []).append(record.t_ns)
+                for on_wire in {key[1], self._wire_ids.get(key, key[1])}:
+                    trace.dropped_ns.setdefault((record.node, on_wire), []).append(record.t_ns)
                 text = f"dropped message {key[1]} of {record.text('topic')} to {pair[1]} ({record.text('reason')})"
                 self._remark(record, text)
 

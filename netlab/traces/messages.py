@@ -10,7 +10,7 @@ from netlab.traces.streams import first_deliveries
 
 @dataclass(frozen=True, slots=True)
 class MessageLife:
-    """One message of one stream. ``fragments_sent`` counts transmissions, ``retransmissions`` those but the first."""
+    """One message of one stream. ``fragments_sent`` counts transmissions, ``copies`` those of redundancy."""
 
     stream: Stream
     published: Published
@@ -19,11 +19,12 @@ class MessageLife:
     fragments: int
     fragments_sent: int
     first_sent_ns: int | None
+    copies: int = 0
 
     @property
     def retransmissions(self) -> int:
-        """Transmissions of fragments that had been sent before, on any interface."""
-        return self.fragments_sent - self.fragments
+        """Transmissions of fragments that had been sent before, on any interface, copies excepted."""
+        return self.fragments_sent - self.fragments - self.copies
 
 
 def message_lives(trace: Trace) -> list[MessageLife]:
@@ -53,6 +54,7 @@ def _lives(trace: Trace, stream: Stream) -> list[MessageLife]:
                 len({fragment.index for fragment in fragments}),
                 len(fragments),
                 fragments[0].t_ns if fragments else None,
+                sum(fragment.is_copy for fragment in fragments),
             )
         )
     return lives

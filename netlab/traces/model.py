@@ -68,7 +68,8 @@ class Fragment:
     """One data fragment on an interface of its sender.
 
     ``destination`` is a node, ``all`` for a broadcast, empty if nothing tells. ``message`` is (publication, seq) for
-    messages of netlab's own traffic, else None.
+    messages of netlab's own traffic, else None. ``is_copy``: its daemon sent it once more before it knew anything
+    of the arrival of the one before (``redundancy``).
     """
 
     t_ns: int
@@ -81,6 +82,7 @@ class Fragment:
     destination: str
     frame_bytes: int
     message: tuple[int, int] | None = None
+    is_copy: bool = False
 
     @property
     def node(self) -> str:

@@ -237,3 +237,21 @@ def test_inspect_lists_the_other_kinds(run: Path) -> None:
 def test_filters_alone_choose_a_sensible_kind(run: Path) -> None:
     assert "delivered after" in look(run, "--topic", "telemetry")[0]
     assert "a/eth0" in look(run, "--node", "a")[0]
+
+
+def test_copies_are_no_retransmissions_and_a_drop_is_known_by_the_id_on_the_wire(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "copies.mcap")
+    beacon = wire.encode_hello(name="b", beacon_interval_s=1, floor=0)
+    writer.packet("b", 0.001, frame("b", beacon, number=1), Direction.OUTBOUND)
+    fragment = {"event": "fragment_copied", "peer": "b", "priority": 1, "message_id": 6, "fragment_index": 0}
+    for number, at_s in enumerate((0.1, 0.102, 0.2)):
+        writer.crossing(at_s, frame("a", data(0, 0, message_id=6), number=number))
+    writer.json("/a/udp_mesh/events", 0.102, packet_number=1, **fragment)
+    writer.json("/a/udp_mesh/events", 9.0, packet_number=2, **fragment)  # of a later life of the daemon
+    writer.json("/a/udp_mesh/events", 0.3, event="message_begun_anew", peer="b", message_id=6, wire_id=11)
+    writer.json("/a/udp_mesh/events", 0.4, event="message_dropped", peer="b", message_id=6, reason="expired")
+    writer.writer.close()
+    trace = load_trace(tmp_path / "copies.mcap")
+    assert [entry.is_copy for entry in trace.fragments["a"]] == [False, True, False]
+    assert [trace.seconds(entry.t_ns) for entry in retransmissions(trace, "a")] == [0.2]
+    assert trace.dropped_ns == {("a", number): [T0_NS + 400_000_000] for number in (6, 11)}

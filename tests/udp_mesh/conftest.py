@@ -229,11 +229,13 @@ class Net:
         """Kill a node; what it sent stays in the air."""
         del self.cores[name]
 
-    def publish(self, sender: str, topic: str, payload: bytes, to: str, **policy: object) -> int:
+    def publish(
+        self, sender: str, topic: str, payload: bytes, to: str, *, is_tracked: bool = False, **policy: object
+    ) -> int:
         """Publish with the topic's configured policy, changed by the given values."""
         core = self.cores[sender]
         chosen = replace(core.settings.policy(topic), **policy)  # type: ignore[arg-type]
-        return core.publish(topic, payload, to=to, policy=chosen, now=self.now)
+        return core.publish(topic, payload, to=to, policy=chosen, is_tracked=is_tracked, now=self.now)
 
     def of(self, name: str, kind: type) -> list[events.Event]:
         """Return a node's events of one kind."""

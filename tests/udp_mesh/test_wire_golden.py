@@ -27,6 +27,7 @@ def test_every_frame_has_the_documented_bytes() -> None:
     assert wire.encode_ack([(5, 9), (1, 3)], received_us=1, delay_us=2, room_bytes=100) == bytes.fromhex(ACK)
     assert wire.encode_hello(name="base", beacon_interval_s=1.0, floor=4, heard=[1, 2]) == bytes.fromhex(HELLO)
     assert wire.encode_probe([3]) == bytes.fromhex("04 01 00000003")
+    assert wire.encode_probe([0, 3]) == bytes.fromhex("04 02 00000000 00000003")  # 0 asks everybody
     assert bytes.fromhex("05") == wire.PING
     assert wire.encode_floor(0x010000000002) == bytes.fromhex("06 010000000002")
     assert wire.encode_backlog(3) == bytes.fromhex("08 03")
@@ -34,7 +35,9 @@ def test_every_frame_has_the_documented_bytes() -> None:
 
 
 def test_a_datagram_of_all_frames_is_dissected() -> None:
-    frames = HEADER + DATA + ACK + HELLO + "04 01 00000003" + "05" + "06 000000000002" + "07 000000000008" + "08 03"
+    frames = (
+        HEADER + DATA + ACK + HELLO + "04 02 00000000 00000003" + "05" + "06 000000000002" + "07 000000000008" + "08 03"
+    )
     packet = wire.dissect(bytes.fromhex(frames))
     assert packet is not None
     assert (packet.epoch, packet.destination_tag, packet.packet_number) == (0x1122334455667788, 7, 0xA00000000)
@@ -48,7 +51,7 @@ def test_a_datagram_of_all_frames_is_dissected() -> None:
     assert packet.acks[0].largest == 9
     assert packet.beacons == (wire.Hello("base", 1.0, 4, (1, 2)),)
     assert packet.backlogs == (3,)
-    assert (packet.probes, packet.pings, packet.floors, packet.purged) == ((3,), 1, (2,), (8,))
+    assert (packet.probes, packet.pings, packet.floors, packet.purged) == ((0, 3), 1, (2,), (8,))
 
 
 @pytest.mark.parametrize(

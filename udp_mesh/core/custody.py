@@ -155,9 +155,8 @@ class Custody:
         """Note that the file has a message; it may leave now."""
         if entry.is_done:
             return
-        self.events.append(
-            MessageStored(now, entry.sequence, entry.topic, entry.policy.priority, entry.size_bytes, entry.peer)
-        )
+        what = (entry.sequence, entry.topic, entry.policy.priority, entry.size_bytes, entry.peer)
+        self.events.append(MessageStored(now, *what))
         self._wait(entry)
 
     def not_committed(self, entry: Stored) -> None:
@@ -278,13 +277,13 @@ class Custody:
         return dict(Counter(entry.topic for entry in self._stored.values()))
 
     def _drop(self, entry: Stored, reason: DropReason, *, now: float) -> None:
+        may_have_arrived = entry.phase in (Phase.FED, Phase.SENT)
         if entry.phase is Phase.FED:
             self.withdrawn.append((entry, reason))
         self._forget(entry)
         self.counters[f"stored_dropped_{reason.value}"] += 1
-        self.events.append(
-            StoredDropped(now, entry.sequence, entry.topic, entry.policy.priority, entry.size_bytes, entry.peer, reason)
-        )
+        what = (entry.sequence, entry.topic, entry.policy.priority, entry.size_bytes, entry.peer)
+        self.events.append(StoredDropped(now, *what, reason, may_have_arrived))
 
     def _forget(self, entry: Stored) -> None:
         self._remove(entry)

@@ -1,6 +1,9 @@
 """What a core tells its owner: deliveries, the fate of messages, peers that come and go. Values only.
 
 ``now`` is the core's monotonic time in seconds. ``peer`` is a node's name, ``all`` for a broadcast.
+``message_id`` is what the publisher was told; in events of fragments and deliveries it is the id on the wire, which is
+another one once a message was begun anew. Every MessageQueued for a node, not for ``all``, is followed by one
+MessageAcked or MessageDropped of the same message and peer.
 """
 
 from __future__ import annotations
@@ -70,8 +73,8 @@ class MessageQueued:
 
 
 @dataclass(frozen=True, slots=True)
-class FragmentSent:
-    """A fragment was handed out for sending; only while ``Settings.trace_fragments``."""
+class _Fragment:
+    """A fragment that leaves. ``message_id``: on the wire."""
 
     now: float
     message_id: int
@@ -82,14 +85,27 @@ class FragmentSent:
 
 
 @dataclass(frozen=True, slots=True)
-class FragmentRetransmitted:
+class FragmentSent(_Fragment):
+    """A fragment was handed out for sending; only while ``Settings.trace_fragments``."""
+
+
+@dataclass(frozen=True, slots=True)
+class FragmentRetransmitted(_Fragment):
     """A fragment was handed out for sending again."""
+
+
+@dataclass(frozen=True, slots=True)
+class FragmentCopied(_Fragment):
+    """A fragment was handed out once more, before anything was known of its arrival: ``redundancy`` is at work."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageBegunAnew:
+    """The receiver has forgotten what it had of a message; it is sent from its beginning, as ``wire_id``."""
 
     now: float
     message_id: int
-    priority: int
-    fragment_index: int
-    packet_number: int
+    wire_id: int
     peer: str
 
 
@@ -124,7 +140,10 @@ class MessageDelivered:
 
 @dataclass(frozen=True, slots=True)
 class MessageDropped:
-    """A message of this node ended without a confirmed delivery to ``peer``. ``token``: the publisher's own."""
+    """A message of this node ended without a confirmed delivery to ``peer``. ``token``: the publisher's own.
+
+    ``may_have_arrived``: all of it had left, so that it may have been delivered without our knowing.
+    """
 
     now: float
     message_id: int
@@ -134,6 +153,7 @@ class MessageDropped:
     peer: str
     reason: DropReason
     token: int = 0
+    may_have_arrived: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +182,7 @@ class MessageConfirmed:
 
 @dataclass(frozen=True, slots=True)
 class StoredDropped:
-    """A stored message ended without a confirmation."""
+    """A stored message ended without a confirmation. ``may_have_arrived``: the transport had been given it."""
 
     now: float
     sequence: int
@@ -171,6 +191,7 @@ class StoredDropped:
     size_bytes: int
     peer: str
     reason: DropReason
+    may_have_arrived: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +274,8 @@ Event = (
     MessageQueued
     | FragmentSent
     | FragmentRetransmitted
+    | FragmentCopied
+    | MessageBegunAnew
     | MessageAcked
     | MessageDelivered
     | MessageDropped

@@ -158,6 +158,7 @@ class MeshCore:
         may_drop: bool = True,
         flags: int = 0,
         token: int = 0,
+        is_tracked: bool = False,
         now: float,
     ) -> int:
         """Queue a message for the node named ``to``, or for ``all``; return its message id.
@@ -170,6 +171,8 @@ class MeshCore:
             may_drop: Whether a full queue makes room by dropping; otherwise it refuses.
             flags: ``wire.DATA_FLAG_ENVELOPE`` if the payload begins with an envelope.
             token: Comes back in the events that tell what has become of the message.
+            is_tracked: For ``all``: send it to each node that is online instead of broadcasting it, so that each of
+                them acknowledges it. See :meth:`destinations`.
             now: Monotonic seconds.
 
         Raises:
@@ -179,12 +182,24 @@ class MeshCore:
         try:
             chosen = policy or self._state.settings.policy(topic)
             return self._outbox.publish(
-                topic, payload, to=to, policy=chosen, may_drop=may_drop, flags=flags, token=token, now=now
+                topic,
+                payload,
+                to=to,
+                policy=chosen,
+                may_drop=may_drop,
+                flags=flags,
+                token=token,
+                is_tracked=is_tracked,
+                now=now,
             )
         except Refused as refusal:
             if may_drop or refusal.reason is not RefusalReason.QUEUE_FULL:  # who waits for room tries again
                 self._state.counters[f"refused_{refusal.reason.value}"] += 1
             raise
+
+    def destinations(self, message_id: int) -> list[str]:
+        """Return for which nodes a message that was just published waits, ``all`` for a broadcast."""
+        return self._outbox.destinations(message_id)
 
     def withdraw(self, peer: str, token: int, reason: DropReason, *, now: float) -> None:
         """Drop the messages for a peer that were published with this token; what has left may arrive all the same."""
@@ -235,7 +250,7 @@ class MeshCore:
     def stats(self) -> dict[str, int]:
         """Return all counters since the start; drops and refusals by reason."""
         counters = dict(self._state.counters)
-        counters["queued_bytes"] = self._outbox.queued_bytes
+        counters["queued_bytes"] = self._outbox.backlog.queued_bytes
         counters["reassembly_bytes"] = self._state.memory.reserved_bytes
         sessions = [peer.session for peer in self._state.peers.values()]
         counters["packets_lost"] = sum(session.recovery.lost_packets for session in sessions)
@@ -244,7 +259,7 @@ class MeshCore:
 
     def queue_depths(self) -> dict[str, int]:
         """Return the messages waiting or in flight, by topic."""
-        return self._outbox.depths()
+        return self._outbox.backlog.depths()
 
     def reconfigure(self, settings: Settings, *, now: float) -> None:
         """Use other settings from now on; messages that are queued keep their place and fragments.

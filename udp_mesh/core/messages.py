@@ -15,7 +15,11 @@ _SMALL_FRAGMENTS = 4  # retransmissions of messages up to this long leave twice
 
 
 class Message:
-    """A published message. Fragments are ranges of ``payload``; nothing is copied before it is sent."""
+    """A published message. Fragments are ranges of ``payload``; nothing is copied before it is sent.
+
+    ``message_id`` names it on the wire, ``published_id`` in every event and towards applications. They differ once the
+    message was begun anew: its receiver must not take new fragments for the rest of old ones.
+    """
 
     __slots__ = (
         "_rest_bytes",
@@ -26,6 +30,7 @@ class Message:
         "message_id",
         "payload",
         "policy",
+        "published_id",
         "queued_at_s",
         "size_bytes",
         "token",
@@ -43,9 +48,11 @@ class Message:
         datagram_bytes: int,
         flags: int = 0,
         token: int = 0,
+        published_id: int | None = None,
         now: float,
     ) -> None:
         self.message_id = message_id
+        self.published_id = message_id if published_id is None else published_id
         self.topic = topic
         self.topic_bytes = topic.encode()
         self.payload = memoryview(payload)
@@ -59,6 +66,20 @@ class Message:
         self.first_bytes = self._rest_bytes - wire.first_fragment_overhead_bytes(self.topic_bytes)
         beyond = max(0, self.size_bytes - self.first_bytes)
         self.fragment_count = 1 + -(-beyond // self._rest_bytes)
+
+    def cut_anew(self, message_id: int, *, datagram_bytes: int) -> Message:
+        """Return the same message with another id on the wire, and perhaps with other fragments."""
+        return Message(
+            message_id,
+            self.topic,
+            self.payload,
+            self.policy,
+            datagram_bytes=datagram_bytes,
+            flags=self.flags,
+            token=self.token,
+            published_id=self.published_id,
+            now=self.queued_at_s,
+        )
 
     @property
     def largest_bytes(self) -> int:
@@ -177,6 +198,11 @@ class Transfer:
     def retransmits_next(self) -> bool:
         """Whether the next fragment to leave has left before, and no mere copy is meant."""
         return bool(self._again) and self._state[self._again[0]] != _COPY_WAITS
+
+    @property
+    def copies_next(self) -> bool:
+        """Whether the next fragment to leave is a mere copy: nothing is known yet of the arrival of the one before."""
+        return bool(self._again) and self._state[self._again[0]] == _COPY_WAITS
 
     def peek(self) -> int | None:
         """Return the fragment to send next: lost ones first, then in order; None if nothing waits."""

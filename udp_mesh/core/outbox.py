@@ -10,8 +10,16 @@ message that has begun only makes room for a more urgent one, or nothing big wou
 from __future__ import annotations
 
 from udp_mesh.core import wire
+from udp_mesh.core.backlog import Backlog
 from udp_mesh.core.deadlines import Deadlines
-from udp_mesh.core.events import DropReason, MessageAcked, MessageDropped, MessageQueued, RefusalReason
+from udp_mesh.core.events import (
+    DropReason,
+    MessageAcked,
+    MessageBegunAnew,
+    MessageDropped,
+    MessageQueued,
+    RefusalReason,
+)
 from udp_mesh.core.fragment_size import datagram_bytes
 from udp_mesh.core.messages import Message, Transfer
 from udp_mesh.core.peer import Lane, Peer
@@ -35,12 +43,7 @@ class Outbox:
 
     def __init__(self, state: NodeState) -> None:
         self._state = state
-        self.queued_bytes = 0
-        self._order = 0
-        self._by_priority: dict[
-            int, dict[int, Transfer]
-        ] = {}  # by order of publication, which is the last part of a key
-        self._by_topic: dict[str, dict[int, Transfer]] = {}
+        self.backlog = Backlog()
         self._deadlines = Deadlines()
         self._throttle = Throttle(state.scheduler)
 
@@ -54,9 +57,10 @@ class Outbox:
         may_drop: bool,
         flags: int = 0,
         token: int = 0,
+        is_tracked: bool = False,
         now: float,
     ) -> int:
-        """Queue a message; return its id.
+        """Queue a message; return its id. ``is_tracked``: it is not broadcast, so that every receiver acknowledges it.
 
         Raises:
             Refused: With the reason; see :class:`RefusalReason`.
@@ -81,7 +85,7 @@ class Outbox:
         )
         if message.fragment_count > wire.MAX_FRAGMENTS:
             raise Refused(RefusalReason.TOO_LARGE)
-        lanes = self._lanes(message, to, now=now)
+        lanes = self._lanes(message, to, may_broadcast=not is_tracked, now=now)
         self._make_room(message, len(lanes), may_drop=may_drop, now=now)
         state.take_message_id()
         self._throttle.push([self._add(message, lane, now=now) for lane in lanes], now=now)
@@ -90,13 +94,18 @@ class Outbox:
     def has_room(self, topic: str, size_bytes: int) -> bool:
         """Whether a message for one destination fits into the queue without dropping another."""
         settings = self._state.settings
-        messages = len(self._by_topic.get(topic, {}))
-        return self.queued_bytes + size_bytes <= settings.queue_bytes and messages < settings.queue_messages
+        has_bytes = self.backlog.queued_bytes + size_bytes <= settings.queue_bytes
+        return has_bytes and self.backlog.count(topic) < settings.queue_messages
 
-    def _lanes(self, message: Message, to: str, *, now: float) -> list[Lane]:
+    def destinations(self, message_id: int) -> list[str]:
+        """Return the nodes to which a message is on its way; ``all`` if it waits to be broadcast."""
+        lanes = [self._state.broadcast, *(peer.lane for peer in self._state.peers.values())]
+        return [lane.name for lane in lanes if message_id in lane.transfers]
+
+    def _lanes(self, message: Message, to: str, *, may_broadcast: bool, now: float) -> list[Lane]:
         state = self._state
         if to == BROADCAST_NAME:
-            if message.fragment_count == 1 and message.largest_bytes <= state.broadcast_bytes:
+            if may_broadcast and message.fragment_count == 1 and message.largest_bytes <= state.broadcast_bytes:
                 return [state.broadcast]
             peers = [p for p in state.peers.values() if self._takes(p, message, now=now)]
             if not peers:
@@ -116,16 +125,12 @@ class Outbox:
 
     def _add(self, message: Message, lane: Lane, *, now: float) -> Transfer:
         state = self._state
-        order = self._order
-        self._order += 1
-        key = Scheduler.key(message, order=order, prioritise=state.settings.prioritise)
+        key = Scheduler.key(message, order=self.backlog.take_order(), prioritise=state.settings.prioritise)
         transfer = Transfer(message, lane.name, key)
         if message.keeps_latest or message.survives_offline:
             self._supersede(transfer, lane, now=now)
         lane.transfers[message.message_id] = transfer
-        self._by_priority.setdefault(message.policy.priority, {})[order] = transfer
-        self._by_topic.setdefault(message.topic, {})[order] = transfer
-        self.queued_bytes += message.size_bytes
+        self.backlog.add(transfer)
         self._deadlines.watch(transfer)
         state.events.append(
             MessageQueued(
@@ -153,47 +158,36 @@ class Outbox:
 
     def _make_room(self, message: Message, copies: int, *, may_drop: bool, now: float) -> None:
         settings = self._state.settings
-        topic = self._by_topic.get(message.topic, {})
-        while len(topic) + copies > settings.queue_messages:
-            victim = next((t for t in topic.values() if not t.is_started), None)
+        while self.backlog.count(message.topic) + copies > settings.queue_messages:
+            victim = self.backlog.oldest_waiting(message.topic)
             if victim is None or not may_drop:
                 raise Refused(RefusalReason.QUEUE_FULL)
             self.drop(victim, DropReason.QUEUE_FULL, now=now)
-        while self.queued_bytes + copies * message.size_bytes > settings.queue_bytes:
-            victim = self._least_valuable(message)
+        while self.backlog.queued_bytes + copies * message.size_bytes > settings.queue_bytes:
+            victim = self.backlog.least_valuable(message)
             if victim is None or not may_drop:
                 raise Refused(RefusalReason.QUEUE_FULL)
             self.drop(victim, DropReason.QUEUE_FULL, now=now)
-
-    def _least_valuable(self, newcomer: Message) -> Transfer | None:
-        for priority in sorted(self._by_priority, reverse=True):
-            if priority < newcomer.policy.priority:
-                return None
-            transfers = self._by_priority[priority].values()
-            waiting = next((t for t in transfers if not t.is_started), None)
-            if waiting is not None:
-                return waiting
-            if priority > newcomer.policy.priority and transfers:
-                return next(iter(transfers))
-        return None
 
     def drop(self, transfer: Transfer, reason: DropReason, *, now: float) -> None:
         """End a transfer without a confirmed delivery."""
         if transfer.is_done:
             return
+        may_have_arrived = transfer.is_fully_sent
         self._finish(transfer)
         message = transfer.message
         self._state.counters[f"dropped_{reason.value}"] += 1
         self._state.events.append(
             MessageDropped(
                 now,
-                message.message_id,
+                message.published_id,
                 message.topic,
                 message.policy.priority,
                 message.size_bytes,
                 transfer.peer,
                 reason,
                 message.token,
+                may_have_arrived,
             )
         )
 
@@ -208,7 +202,9 @@ class Outbox:
             priority = message.policy.priority
             self._state.counters["messages_acked"] += 1
             self._state.events.append(
-                MessageAcked(now, message.message_id, message.topic, priority, transfer.peer, latency_s, message.token)
+                MessageAcked(
+                    now, message.published_id, message.topic, priority, transfer.peer, latency_s, message.token
+                )
             )
 
     def sent_broadcast(self, transfer: Transfer) -> None:
@@ -232,24 +228,33 @@ class Outbox:
                 self._state.scheduler.push(transfer)
 
     def start_over(self, transfer: Transfer, *, now: float) -> None:
-        """Send a message from its beginning under a new id: its receiver has forgotten what it had."""
-        lane = self._state.lane(transfer.peer)
-        policy = transfer.message.policy
-        message = transfer.message
-        self._finish(transfer)
-        fresh = Message(
-            self._state.take_message_id(),
-            message.topic,
-            message.payload,
-            policy,
-            datagram_bytes=datagram_bytes(
-                self._state, transfer.peer, topic_bytes=len(message.topic_bytes), size_bytes=message.size_bytes
-            ),
-            flags=message.flags,
-            token=message.token,
-            now=message.queued_at_s,
-        )
-        self._state.scheduler.push(self._add(fresh, lane, now=now))
+        """Send a message from its beginning under a new id on the wire: its receiver has forgotten what it had.
+
+        Its place in the queue and its id in events stay. Of a topic of which only the newest counts it ends if there
+        is a newer one; and it ends if it is too long for the fragments that the path takes now.
+        """
+        state, old = self._state, transfer.message
+        lane = state.lane(transfer.peer)
+        newest = lane.newest.get(old.topic)
+        if old.keeps_latest and newest is not None and newest is not transfer:
+            self.drop(transfer, DropReason.SUPERSEDED, now=now)
+            return
+        room_bytes = datagram_bytes(state, transfer.peer, topic_bytes=len(old.topic_bytes), size_bytes=old.size_bytes)
+        message = old.cut_anew(state.take_message_id(), datagram_bytes=room_bytes)
+        if message.fragment_count > wire.MAX_FRAGMENTS:
+            self.drop(transfer, DropReason.PATH_TOO_SMALL, now=now)
+            return
+        fresh = Transfer(message, transfer.peer, transfer.key)
+        transfer.is_done = True
+        del lane.transfers[old.message_id]
+        lane.transfers[message.message_id] = fresh
+        if newest is transfer:
+            lane.newest[old.topic] = fresh
+        self.backlog.replace(fresh)
+        self._deadlines.watch(fresh)
+        state.events.append(MessageBegunAnew(now, message.published_id, message.message_id, transfer.peer))
+        if not self._throttle.replace(transfer, fresh):
+            state.scheduler.push(fresh)
 
     def on_peer_offline(self, peer: Peer, *, now: float) -> None:
         """Reliable messages wait for the peer's return; a best-effort one that has begun is lost."""
@@ -272,24 +277,16 @@ class Outbox:
             self.drop(transfer, DropReason.EXPIRED, now=now)
         self._throttle.release(now=now)
 
-    def depths(self) -> dict[str, int]:
-        """Return the messages waiting or in flight, by topic."""
-        return {topic: len(transfers) for topic, transfers in self._by_topic.items()}
-
     def next_timer(self) -> float | None:
         """Return when the next lifetime ends, or a rate limit lets something go."""
         times = (self._deadlines.next_timer(), self._throttle.next_timer())
         return min((time for time in times if time is not None), default=None)
 
     def _finish(self, transfer: Transfer) -> None:
-        message, order = transfer.message, transfer.key[2]
+        message = transfer.message
         transfer.is_done = True
         lane = self._state.lane(transfer.peer)
         del lane.transfers[message.message_id]
         if lane.newest.get(message.topic) is transfer:
             del lane.newest[message.topic]
-        self._by_priority[message.policy.priority].pop(order)
-        self._by_topic[message.topic].pop(order)
-        if not self._by_topic[message.topic]:
-            del self._by_topic[message.topic]
-        self.queued_bytes -= message.size_bytes
+        self.backlog.remove(transfer)

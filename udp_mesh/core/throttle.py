@@ -43,6 +43,15 @@ class Throttle:
         topic.held.append(copies)
         self._release(topic, now=now)
 
+    def replace(self, old: Transfer, fresh: Transfer) -> bool:
+        """Hold a transfer in another's place; whether the other was held."""
+        topic = self._topics.get(old.message.topic)
+        for copies in topic.held if topic is not None else ():
+            if old in copies:
+                copies[copies.index(old)] = fresh
+                return True
+        return False
+
     def release(self, *, now: float) -> None:
         """Queue what may be sent by now."""
         for name, topic in list(self._topics.items()):

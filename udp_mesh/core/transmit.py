@@ -7,7 +7,7 @@ from udp_mesh.core.broadcasts import Broadcasts
 from udp_mesh.core.coordination import Coordination
 from udp_mesh.core.copies import Copies
 from udp_mesh.core.datagram import CONTROL_PRIORITY, Datagram
-from udp_mesh.core.events import FragmentRetransmitted, FragmentSent
+from udp_mesh.core.events import FragmentCopied, FragmentRetransmitted, FragmentSent
 from udp_mesh.core.gate import Gate
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.outbox import Outbox
@@ -200,11 +200,13 @@ class Transmitter:
         return self._packet(peer, frames, parts, priority=priority, ack_now=stalls, now=now)
 
     def _note_fragment(self, transfer: Transfer, index: int, number: int, *, now: float) -> None:
-        message = transfer.message
-        what = (now, message.message_id, message.policy.priority, index, number, transfer.peer)
+        what = (now, transfer.message.message_id, transfer.message.policy.priority, index, number, transfer.peer)
         if transfer.retransmits_next:
             self._state.counters["fragments_retransmitted"] += 1
             self._state.events.append(FragmentRetransmitted(*what))
+        elif transfer.copies_next:
+            self._state.counters["fragments_copied"] += 1
+            self._state.events.append(FragmentCopied(*what))
         elif self._state.settings.trace_fragments:
             self._state.events.append(FragmentSent(*what))
 
