@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from udp_mesh.core.keys import KEY_BYTES
 
 if TYPE_CHECKING:
-    from udp_mesh.client import Client
+    from udp_mesh.client import Client, Fate, PublishOptions
 
 _CLEAR_SCREEN = "\x1b[2J\x1b[H"
 
@@ -57,6 +57,10 @@ def _parser() -> argparse.ArgumentParser:
     publish.add_argument("--to", default="all", help="a node's name, or all (default)")
     publish.add_argument("--priority", type=int, help="0..255, lower is more urgent")
     publish.add_argument("--offline", choices=["discard", "latest", "store"], help="if the node is absent")
+    publish.add_argument("--lifetime", type=_positive, metavar="S", help="give it up after so long")
+    publish.add_argument(
+        "--wait", action="store_true", help="wait, at most --timeout, and print what became of it at each node"
+    )
     ask = commands.add_parser("ask", help="send a question to one node and print the answer")
     ask.add_argument("topic")
     ask.add_argument("payload", nargs="?", default="")
@@ -81,19 +85,37 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _positive(text: str) -> float:
+    value = float(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError("has to be above 0")
+    return value
+
+
 def _publish(client: Client, arguments: argparse.Namespace) -> int:
     payload = sys.stdin.buffer.read() if arguments.payload is None else arguments.payload.encode()
-    if arguments.to != "all":
-        client.wait_for_peer(arguments.to, 0.0)
-    client.publish_wait(
-        arguments.topic,
-        payload,
-        to=arguments.to,
-        priority=arguments.priority,
-        offline=arguments.offline,
-        timeout_s=arguments.timeout,
-    )
-    return 0
+    options: PublishOptions = {
+        "priority": arguments.priority,
+        "offline": arguments.offline,
+        "lifetime_s": arguments.lifetime,
+    }
+    if not arguments.wait:
+        client.publish_wait(arguments.topic, payload, to=arguments.to, timeout_s=arguments.timeout, **options)
+        return 0
+    delivery = client.publish_tracked(arguments.topic, payload, to=arguments.to, **options)
+    delivery.wait(arguments.timeout)
+    fates = delivery.fates
+    for peer in delivery.peers or (arguments.to,):
+        fate = fates.get(peer)
+        print(f"{peer} {f'no word within {arguments.timeout:g} s' if fate is None else _fate_text(fate)}")
+    return 0 if delivery.is_acknowledged else 1
+
+
+def _fate_text(fate: Fate) -> str:
+    if fate.latency_s is not None:
+        return f"{fate.outcome.value} after {fate.latency_s * 1e3:.1f} ms"
+    doubt = ", but it may have arrived" if fate.may_have_arrived else ""
+    return f"{fate.outcome.value}: {fate.reason}{doubt}"
 
 
 def _ask(client: Client, arguments: argparse.Namespace) -> int:

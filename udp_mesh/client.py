@@ -13,12 +13,13 @@ themselves and subscribe again.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Unpack
 
 from udp_mesh import local_features, local_wire
 from udp_mesh.client_async import AsyncClient
+from udp_mesh.client_fates import AsyncDelivery, Delivery
 from udp_mesh.client_link import Link
 from udp_mesh.client_questions import Questions
 from udp_mesh.client_state import ClientState
@@ -34,13 +35,18 @@ from udp_mesh.client_types import (
     result_of,
 )
 from udp_mesh.config import default_socket
+from udp_mesh.local_fates import Fate, Outcome
 from udp_mesh.local_wire import FrameType, Message
 
 __all__ = [
     "AsyncClient",
+    "AsyncDelivery",
     "Client",
     "ClientError",
+    "Delivery",
+    "Fate",
     "Message",
+    "Outcome",
     "PeerInfo",
     "PublishOptions",
     "Refused",
@@ -89,16 +95,37 @@ class Client(Questions):
             WouldBlock: The daemon does not keep up.
             ValueError: An argument is none of its choices.
         """
+        self._publish(topic, payload, to, options, None)
+
+    def publish_tracked(self, topic: str, payload: bytes, *, to: str, **options: Unpack[PublishOptions]) -> Delivery:
+        """Like :meth:`publish`, and follow what becomes of the message.
+
+            delivery = mesh.publish_tracked("command", b"go", to="robot1", lifetime_s=2.0)
+            if not delivery.wait(timeout_s=3.0) or not delivery.is_acknowledged:
+                print(delivery.fates)
+
+        A message for ``all`` is sent to each node that is online instead of being broadcast, and has a fate at each.
+        Of what was on its way when the connection to the daemon was lost the fate is unknown, unless it is stored.
+
+        Raises:
+            As :meth:`publish`.
+        """
+        delivery = Delivery(to, self._link.wait)
+        self._publish(topic, payload, to, options, delivery)
+        return delivery
+
+    def _publish(self, topic: str, payload: bytes, to: str, options: PublishOptions, tracked: Delivery | None) -> None:
         overrides = overrides_of(options)
         self._link.pump(0.0)
-        request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
+        request, frame = self._state.encode_publish(topic, payload, to, overrides, tracked=tracked)
         try:
             self._link.send(frame)
         except WouldBlock:
-            self._state.stored.forget(request)
+            self._state.forget(request)
             raise
         except Refused:
             if request not in self._state.stored.undecided:  # a stored one goes out with the next connection
+                self._state.forget(request)
                 raise
 
     def publish_wait(
@@ -122,26 +149,18 @@ class Client(Questions):
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
         connection = self._link.connections
         if not self._link.wait(lambda: self._is_sent(request, frame, connection), timeout_s):
-            self._state.stored.forget(request)
+            self._state.forget(request)
             raise WouldBlock("the daemon does not keep up")
         connection = self._link.connections
-        verdicts: list[local_wire.Verdict] = []
 
         def is_decided() -> bool:
-            verdict = self._state.take_verdict(request)
-            if verdict is not None:
-                verdicts.append(verdict)
-            if verdict is not None or request in self._state.stored.undecided:
-                return verdict is not None  # a stored one is repeated after a reconnection
-            return not self._link.is_connected or self._link.connections != connection
+            is_same = self._link.is_connected and self._link.connections == connection
+            return self._state.is_decided(request, is_same_connection=is_same)
 
         if not self._link.wait(is_decided, timeout_s):
+            self._state.stop_waiting(request)
             raise WouldBlock("the queue had no room in time")
-        if not verdicts:
-            raise Refused("daemon_unreachable")
-        if verdicts[0].reason:
-            raise Refused(verdicts[0].reason)
-        return verdicts[0].message_id
+        return self._state.take_message_id(request)
 
     def request(
         self, topic: str, payload: bytes, *, to: str, timeout_s: float = 5.0, **options: Unpack[PublishOptions]
@@ -209,31 +228,6 @@ class Client(Questions):
         """Refused messages by reason, those included that the daemon refused after ``publish`` returned."""
         return self._state.refusals
 
-    # -- questions
-
-    def wait_for_peer(self, name: str, timeout_s: float) -> bool:
-        """Wait until a peer is online; False if it was not within ``timeout_s``."""
-        return self._link.wait(lambda: self._state.is_online(name), timeout_s)
-
-    def watch_status(self, interval_s: float = 0.2) -> None:
-        """Have the daemon send the state of links and queues now and at every interval (20 ms or more); 0 ends it.
-
-        It appears in :attr:`status` whenever this client reads: while it receives, waits or asks.
-        """
-        self._state.status_interval_s = interval_s
-        self._command(local_features.encode_watch(interval_s))
-
-    @property
-    def status(self) -> Status | None:
-        """The newest state of links and queues, None before the first; see :meth:`watch_status`."""
-        return self._state.status
-
-    def wait_for_status(self, timeout_s: float | None = None) -> Status | None:
-        """Wait for the next state; None if there was none within ``timeout_s``."""
-        before = self._state.status
-        self._link.wait(lambda: self._state.status is not before, timeout_s)
-        return None if self._state.status is before else self._state.status
-
     # -- connection
 
     def fileno(self) -> int:
@@ -286,6 +280,9 @@ class Client(Questions):
         ):
             raise RequestFailed(f"the daemon did not answer within {_ANSWER_WITHIN_S:g} s")
         return result_of(answers[0])
+
+    def _wait(self, is_done: Callable[[], bool], timeout_s: float | None) -> bool:
+        return self._link.wait(is_done, timeout_s)
 
     def _command(self, frame: bytes) -> None:
         """Send a frame that a reconnection would repeat anyway."""

@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Unpack
 
 from udp_mesh import local_features, local_wire
+from udp_mesh.client_fates import AsyncDelivery
 from udp_mesh.client_questions import AsyncQuestions
 from udp_mesh.client_state import ClientState
 from udp_mesh.client_types import (
@@ -15,7 +16,6 @@ from udp_mesh.client_types import (
     PublishOptions,
     Refused,
     RequestFailed,
-    Status,
     WouldBlock,
     overrides_of,
     result_of,
@@ -89,14 +89,34 @@ class AsyncClient(AsyncQuestions):
             Refused: It was not taken; ``reason`` says why.
             WouldBlock: The daemon does not keep up.
         """
+        self._publish(topic, payload, to, options, None)
+
+    def publish_tracked(
+        self, topic: str, payload: bytes, *, to: str, **options: Unpack[PublishOptions]
+    ) -> AsyncDelivery:
+        """Like :meth:`publish`, and follow what becomes of the message: ``fates = await mesh.publish_tracked(...)``.
+
+        See :meth:`udp_mesh.client.Client.publish_tracked`.
+        """
+        delivery = AsyncDelivery(to, self._wait)
+        self._publish(topic, payload, to, options, delivery)
+        return delivery
+
+    def _publish(
+        self, topic: str, payload: bytes, to: str, options: PublishOptions, tracked: AsyncDelivery | None
+    ) -> None:
         overrides = overrides_of(options)
         stream = self._open_stream()
         if stream is not None and stream.unsent_bytes > _MAX_UNSENT_BYTES:
             raise WouldBlock("the daemon does not keep up")
-        request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=False)
+        request, frame = self._state.encode_publish(topic, payload, to, overrides, tracked=tracked)
+        self._write_publish(stream, request, frame)
+
+    def _write_publish(self, stream: Stream | None, request: int, frame: bytes) -> None:
         if stream is not None:
             stream.write(frame)
         elif request not in self._state.stored.undecided:  # a stored one goes out with the next connection
+            self._state.forget(request)
             raise Refused("daemon_unreachable")
 
     async def publish_wait(
@@ -117,25 +137,15 @@ class AsyncClient(AsyncQuestions):
         overrides = overrides_of(options)
         stream = self._open_stream()
         request, frame = self._state.encode_publish(topic, payload, to, overrides, waits=True)
-        if stream is not None:
-            stream.write(frame)
-        elif request not in self._state.stored.undecided:
-            raise Refused("daemon_unreachable")
-        verdicts: list[local_wire.Verdict] = []
+        self._write_publish(stream, request, frame)
 
         def is_decided() -> bool:
-            verdict = self._state.take_verdict(request)
-            if verdict is not None:
-                verdicts.append(verdict)
-            return verdict is not None or (self._stream is not stream and request not in self._state.stored.undecided)
+            return self._state.is_decided(request, is_same_connection=self._stream is stream)
 
         if not await self._wait(is_decided, timeout_s):
+            self._state.stop_waiting(request)
             raise WouldBlock("the queue had no room in time")
-        if not verdicts:
-            raise Refused("daemon_unreachable")
-        if verdicts[0].reason:
-            raise Refused(verdicts[0].reason)
-        return verdicts[0].message_id
+        return self._state.take_message_id(request)
 
     async def request(
         self, topic: str, payload: bytes, *, to: str, timeout_s: float = 5.0, **options: Unpack[PublishOptions]
@@ -198,28 +208,6 @@ class AsyncClient(AsyncQuestions):
         """Refused messages by reason, those included that the daemon refused after ``publish`` returned."""
         return self._state.refusals
 
-    async def wait_for_peer(self, name: str, timeout_s: float) -> bool:
-        """Wait until a peer is online; False if it was not within ``timeout_s``."""
-        return await self._wait(lambda: self._state.is_online(name), timeout_s)
-
-    def watch_status(self, interval_s: float = 0.2) -> None:
-        """Have the daemon send the state of links and queues now and at every interval; 0 ends it."""
-        self._state.status_interval_s = interval_s
-        stream = self._open_stream()
-        if stream is not None:
-            stream.write(local_features.encode_watch(interval_s))
-
-    @property
-    def status(self) -> Status | None:
-        """The newest state of links and queues, None before the first."""
-        return self._state.status
-
-    async def wait_for_status(self, timeout_s: float | None = None) -> Status | None:
-        """Wait for the next state; None if there was none within ``timeout_s``."""
-        before = self._state.status
-        await self._wait(lambda: self._state.status is not before, timeout_s)
-        return None if self._state.status is before else self._state.status
-
     def _open_stream(self) -> Stream | None:
         return self._stream if self._stream is not None and self._stream.is_open else None
 
@@ -228,6 +216,11 @@ class AsyncClient(AsyncQuestions):
         if stream is None:
             raise Refused("daemon_unreachable")
         return stream
+
+    def _command(self, frame: bytes) -> None:
+        stream = self._open_stream()
+        if stream is not None:
+            stream.write(frame)
 
     async def _ask(self, method: str, **arguments: str) -> object:
         request, frame = self._state.encode_request(method, **arguments)

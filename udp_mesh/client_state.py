@@ -6,7 +6,8 @@ import json
 import secrets
 from collections import Counter, deque
 
-from udp_mesh import local_features, local_wire
+from udp_mesh import local_fates, local_features, local_wire
+from udp_mesh.client_fates import OpenMessages, TrackedMessage
 from udp_mesh.client_stored import StoredState
 from udp_mesh.client_types import PeerInfo, Refused, RequestFailed, Status, WouldBlock, peers_of
 from udp_mesh.core.envelope import DurableId
@@ -25,6 +26,7 @@ class ClientState:
     def __init__(self) -> None:
         self.client = secrets.randbits(64) or 1
         self.stored = StoredState()
+        self.tracked = OpenMessages()
         self.inbox: deque[tuple[DurableId | None, Message]] = deque()
         self.missed = 0
         self.refusals: Counter[str] = Counter()
@@ -51,12 +53,14 @@ class ClientState:
         subscriptions = [local_wire.frame(FrameType.SUBSCRIBE, topic.encode()) for topic in self.topics]
         if self.status_interval_s:
             subscriptions.append(local_features.encode_watch(self.status_interval_s))
-        return b"".join((local_features.encode_identity(self.client), *subscriptions, *self.stored.undecided.values()))
+        repeated = (*self.stored.undecided.values(), *self.tracked.follow_frames())
+        return b"".join((local_features.encode_identity(self.client), *subscriptions, *repeated))
 
     def disconnected(self) -> None:
         """Forget what only held for the lost connection."""
         for request in [number for number in self._verdicts if number not in self.stored.undecided]:
             del self._verdicts[request]
+        self.tracked.on_disconnected(self.stored.undecided)
         self._answers.clear()
         for request in self._answered:
             self._answered[request] = Answer(request, local_features.FAILED, b"daemon_unreachable")
@@ -89,6 +93,11 @@ class ClientState:
                 self._answered[answer_to_question.request] = answer_to_question
         elif kind == FrameType.VERDICT:
             self._verdict(local_wire.decode_verdict(body))
+        elif kind == FrameType.TRACKED:
+            tracked = local_fates.decode_tracked(body)
+            self.tracked.on_tracked(tracked, is_stored=tracked.request in self.stored.undecided)
+        elif kind == FrameType.FATE:
+            self.tracked.on_fate(*local_fates.decode_fate(body))
         elif kind == FrameType.LOST:
             self.missed += local_wire.decode_lost(body)
         elif kind == FrameType.PEERS:
@@ -126,6 +135,7 @@ class ClientState:
         self.stored.forget(verdict.request)
         if verdict.reason:
             self.refusals[verdict.reason] += 1
+            self.tracked.on_refused(verdict.request, verdict.reason)
         if verdict.request in self._verdicts:
             self._verdicts[verdict.request] = verdict
 
@@ -135,9 +145,16 @@ class ClientState:
         return peer is not None and peer.online
 
     def encode_publish(
-        self, topic: str, payload: bytes, to: str, overrides: Overrides, *, waits: bool
+        self,
+        topic: str,
+        payload: bytes,
+        to: str,
+        overrides: Overrides,
+        *,
+        waits: bool = False,
+        tracked: TrackedMessage | None = None,
     ) -> tuple[int, bytes]:
-        """Return a request number and the frame.
+        """Return a request number and the frame. ``tracked`` learns what becomes of the message.
 
         Raises:
             Refused: It is clear already that the daemon would not take the message.
@@ -149,8 +166,10 @@ class ClientState:
             raise WouldBlock("the daemon's store does not keep up")
         self._next_request = (self._next_request + 1) & 0xFFFFFFFF
         wants_verdict = waits or is_stored
-        publish = Publish(self._next_request, topic, payload, to, overrides, wants_verdict=wants_verdict, waits=waits)
+        publish = Publish(self._next_request, topic, payload, to, overrides, wants_verdict, waits, tracked is not None)
         frame = local_wire.encode_publish(publish)
+        if tracked is not None:
+            self.tracked.add(publish.request, tracked)
         if waits:
             self._verdicts[publish.request] = None
         if is_stored:
@@ -217,9 +236,28 @@ class ClientState:
         """Return the answer to a question once it is there."""
         return self._answers.pop(request, None)
 
-    def take_verdict(self, request: int) -> Verdict | None:
-        """Return the verdict on a waiting publish once it is there."""
-        verdict = self._verdicts.get(request)
-        if verdict is not None:
-            del self._verdicts[request]
-        return verdict
+    def is_decided(self, request: int, *, is_same_connection: bool) -> bool:
+        """Whether there is a verdict on a waiting publish, or can be none: a stored one outlives its connection."""
+        has_verdict = self._verdicts.get(request) is not None
+        return has_verdict or not (is_same_connection or request in self.stored.undecided)
+
+    def take_message_id(self, request: int) -> int:
+        """Return the message id of a waiting publish that :meth:`is_decided`, and forget it.
+
+        Raises:
+            Refused: It was not taken.
+        """
+        verdict = self._verdicts.pop(request, None)
+        if verdict is None or verdict.reason:
+            raise Refused("daemon_unreachable" if verdict is None else verdict.reason)
+        return verdict.message_id
+
+    def forget(self, request: int) -> None:
+        """Forget a publish that did not leave this client."""
+        self.stored.forget(request)
+        self.tracked.forget(request)
+        self._verdicts.pop(request, None)
+
+    def stop_waiting(self, request: int) -> None:
+        """Note that nobody waits for the verdict on a publish any more."""
+        self._verdicts.pop(request, None)

@@ -24,6 +24,7 @@ _LOST = struct.Struct("!I")
 _UNSET = 255
 FLAG_WANT_VERDICT = 1
 FLAG_WAIT = 2
+FLAG_TRACK = 4
 
 
 class FrameType(IntEnum):
@@ -38,6 +39,7 @@ class FrameType(IntEnum):
     WATCH = 7
     ASK = 8
     ANSWER = 9
+    FOLLOW = 10
     WELCOME = 64
     MESSAGE = 65
     PEERS = 66
@@ -48,6 +50,8 @@ class FrameType(IntEnum):
     STATUS = 71
     QUESTION = 72
     ANSWERED = 73
+    TRACKED = 74
+    FATE = 75
 
 
 class LocalProtocolError(Exception):
@@ -79,7 +83,10 @@ class Overrides:
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """An application's wish to send. ``waits``: hold it, and what follows, until there is room in the queue."""
+    """An application's wish to send. ``waits``: hold it, and what follows, until there is room in the queue.
+
+    ``is_tracked``: tell what becomes of it; see :mod:`udp_mesh.local_fates`.
+    """
 
     request: int
     topic: str
@@ -88,6 +95,7 @@ class Publish:
     overrides: Overrides
     wants_verdict: bool
     waits: bool
+    is_tracked: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +146,7 @@ def _choice(kind: type[_Choice], code: int) -> _Choice | None:
 def encode_publish(publish: Publish) -> bytes:
     """Return the frame of a publish; topic and destination have at most 255 bytes each."""
     topic, to, overrides = publish.topic.encode(), publish.to.encode(), publish.overrides
-    flags = (FLAG_WANT_VERDICT if publish.wants_verdict else 0) | (FLAG_WAIT if publish.waits else 0)
+    flags = FLAG_WANT_VERDICT * publish.wants_verdict | FLAG_WAIT * publish.waits | FLAG_TRACK * publish.is_tracked
     head = _PUBLISH.pack(
         publish.request,
         flags,
@@ -189,6 +197,7 @@ def decode_publish(body: memoryview) -> Publish:
             ),
             wants_verdict=bool(flags & FLAG_WANT_VERDICT),
             waits=bool(flags & FLAG_WAIT),
+            is_tracked=bool(flags & FLAG_TRACK),
         )
     except (struct.error, UnicodeDecodeError, IndexError) as error:
         raise LocalProtocolError(f"bad publish frame: {error}") from error

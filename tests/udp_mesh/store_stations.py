@@ -8,7 +8,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from udp_mesh import local_features, local_wire
+from udp_mesh import local_fates, local_features, local_wire
+from udp_mesh.client_fates import TrackedMessage
 from udp_mesh.client_state import ClientState
 from udp_mesh.client_types import PublishOptions, overrides_of
 from udp_mesh.config import Config
@@ -132,13 +133,18 @@ class Station:
             core,
             self,  # type: ignore[arg-type]
             self.config,
-            self.reported.append,
+            self._report,
             clock=lambda: self.net.now,
             open_store=lambda path, age_s, now: SlowDisk(path, age_s, now, net=self.net),
         )
         self._seen_events = len(self.net.events[self.name])
         assert self.durable._open() is not None
         self._connect()
+
+    def _report(self, event: Event) -> None:
+        self.reported.append(event)
+        if self.durable is not None:
+            self.durable.fates.on_event(event)
 
     def _connect(self) -> None:
         assert self.durable is not None
@@ -162,13 +168,14 @@ class Station:
         self.connections.clear()
         self.state.disconnected()
 
-    def publish(self, topic: str, payload: bytes, to: str, **options: Any) -> None:
-        """As the blocking client does."""
-        chosen = PublishOptions(offline="store", **options)
-        _request, frame = self.state.encode_publish(topic, payload, to, overrides_of(chosen), waits=False)
+    def publish(self, topic: str, payload: bytes, to: str, **options: Any) -> TrackedMessage:
+        """As the blocking client does; return what becomes of it."""
+        chosen, tracked = PublishOptions(offline="store", **options), TrackedMessage(to)
+        _request, frame = self.state.encode_publish(topic, payload, to, overrides_of(chosen), tracked=tracked)
         if self.connections:
             ((kind, body),) = frames_of(frame)
             self._frame(self.connections[0], kind, body)
+        return tracked
 
     def _frame(self, connection: Any, kind: int, body: memoryview) -> None:
         assert self.durable is not None
@@ -177,6 +184,9 @@ class Station:
             policy = publish.overrides.apply(self.durable._core.settings.policy(publish.topic))
             assert policy.offline is Offline.STORE
             self.durable.publish(connection, publish, policy)
+        elif kind == local_wire.FrameType.FOLLOW:
+            request, sequence, peer = local_fates.decode_follow(body)
+            self.durable.fates.follow(connection, request, sequence, peer, self.durable.custody)
         elif kind == local_wire.FrameType.TAKEN:
             for durable_id in local_features.decode_taken(body):
                 self.durable.inbox.take(connection.number, durable_id)

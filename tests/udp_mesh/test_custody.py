@@ -7,10 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from udp_mesh.core import events
-from udp_mesh.core.custody import FEED_BYTES, RESEND_AFTER_S, RETRY_AFTER_S, Custody, Stored
+from udp_mesh.core.custody import FEED_BYTES, RESEND_AFTER_S, RETRY_AFTER_S, Custody
 from udp_mesh.core.events import DropReason
 from udp_mesh.core.outbox import Refused
 from udp_mesh.core.settings import Keep, TopicPolicy
+from udp_mesh.core.stored import Stored
 
 
 def custody(limit_bytes: int = 1000, age_s: float = 100.0) -> Custody:

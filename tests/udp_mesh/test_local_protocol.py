@@ -50,6 +50,7 @@ names = st.text(min_size=1, max_size=60)
         overrides,
         st.booleans(),
         st.booleans(),
+        st.booleans(),
     ),
     st.integers(1, 50),
 )

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from udp_mesh.core.custody import Stored
 from udp_mesh.core.envelope import DurableId
 from udp_mesh.core.inbox import Kept
 from udp_mesh.core.settings import Keep, Offline, TopicPolicy
+from udp_mesh.core.stored import Stored
 from udp_mesh.io import store_file, store_rows
 from udp_mesh.io.store import Outcome, StoreThread
 from udp_mesh.io.store_rows import Statement

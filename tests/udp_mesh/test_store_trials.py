@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from random import Random
@@ -11,9 +12,11 @@ from typing import Any
 import pytest
 
 from tests.udp_mesh.store_stations import TURN_S, SlowDisk, Station
+from udp_mesh.client_fates import TrackedMessage
 from udp_mesh.client_state import ClientState
 from udp_mesh.core import envelope as envelopes
 from udp_mesh.core.events import MessageDelivered, StoredDropped
+from udp_mesh.local_fates import Outcome
 
 TRIALS = int(os.environ.get("UDP_MESH_TRIALS", "10"))  # the benchmark asks for more
 
@@ -85,10 +88,11 @@ def test_killed_at_random_instants_of_an_outage_nothing_is_lost_or_twice(pair: t
     net, a, b = pair
     rng = Random(net.rng.random())
     sent: list[bytes] = []
+    tracked: list[TrackedMessage] = []
 
     def publish() -> None:
         sent.append(len(sent).to_bytes(4, "big") + bytes(rng.choice([0, 100, 5000])))
-        a.publish("log", sent[-1], "b", priority=rng.choice([1, 5]))
+        tracked.append(a.publish("log", sent[-1], "b", priority=rng.choice([1, 5])))
 
     began_s = net.now
     net.every(0.05, publish, until_s=began_s + 3.0)
@@ -103,7 +107,12 @@ def test_killed_at_random_instants_of_an_outage_nothing_is_lost_or_twice(pair: t
     net.run(11.0)  # a repetition for want of a confirmation would show now
     assert sorted(b.received) == sorted(sent)
     assert a.durable is not None
-    assert len(a.durable.custody) == 0
+    assert len(a.durable.custody) == len(a.durable.fates) == len(a.state.tracked) == 0
+    fates = [message.fates["b"] for message in tracked]  # each has one
+    told = Counter((fate.outcome, fate.reason) for fate in fates)
+    assert set(told) <= {(Outcome.ACKNOWLEDGED, ""), (Outcome.UNKNOWN, "settled_unseen")}
+    # Nobody heard of those that ended just before the kill, or between it and the new connection.
+    assert told[Outcome.UNKNOWN, "settled_unseen"] <= 5, told
 
 
 def test_a_repeated_message_is_confirmed_again_and_offered_to_nobody(pair: tuple[Any, Station, Station]) -> None:

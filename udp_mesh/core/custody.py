@@ -15,44 +15,17 @@ import heapq
 from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum, auto
 
 from udp_mesh.core.events import DropReason, MessageConfirmed, MessageStored, RefusalReason, StoredDropped
 from udp_mesh.core.outbox import Refused
 from udp_mesh.core.settings import Keep, TopicPolicy
+from udp_mesh.core.stored import Phase, Stored
 
 FEED_BYTES = 256 * 1024  # of one destination in the transport, unless a single message is larger
 FEED_MESSAGES = 256
 RESEND_AFTER_S = 10.0  # without a confirmation although the transport has delivered it
 RETRY_AFTER_S = 0.5  # after the transport refused or dropped it
 MAX_STORED_MESSAGES = 65_536
-
-
-class Phase(Enum):
-    """Where a stored message stands."""
-
-    COMMITTING = auto()
-    WAITING = auto()
-    FED = auto()
-    SENT = auto()
-
-
-@dataclass(slots=True)
-class Stored:
-    """One message for one destination. ``payload`` is None while only the file has it; times are monotonic seconds."""
-
-    sequence: int
-    peer: str
-    topic: str
-    policy: TopicPolicy
-    size_bytes: int
-    queued_at_s: float
-    deadline_s: float
-    original_bytes: int | None = None
-    payload: bytes | None = None
-    phase: Phase = Phase.COMMITTING
-    again_at_s: float = 0.0
-    is_done: bool = False
 
 
 @dataclass(slots=True)
@@ -170,6 +143,11 @@ class Custody:
         entry.phase = Phase.WAITING
         heapq.heappush(destination.waiting, (entry.policy.priority, entry.sequence))
 
+    def holds(self, sequence: int, peer: str) -> bool:
+        """Whether a message for this destination is not settled."""
+        entry = self._stored.get(sequence)
+        return entry is not None and entry.peer == peer
+
     def destinations(self) -> list[str]:
         """Return every destination for which something is stored."""
         return [name for name, destination in self._destinations.items() if destination.stored]
@@ -239,9 +217,9 @@ class Custody:
 
     def on_confirmed(self, sequence: int, peer: str, *, now: float) -> bool:
         """End a message that is safe at its receiver; False if it is none of ours, or known to be settled."""
-        entry = self._stored.get(sequence)
-        if entry is None or entry.peer != peer:
+        if not self.holds(sequence, peer):
             return False
+        entry = self._stored[sequence]
         self._forget(entry)
         self.counters["stored_confirmed"] += 1
         self.events.append(

@@ -31,6 +31,7 @@ from udp_mesh.core.inbox import Inbox
 from udp_mesh.core.mesh import MeshCore
 from udp_mesh.core.settings import Offline, TopicPolicy
 from udp_mesh.io import store_rows
+from udp_mesh.io.fates import Fates
 from udp_mesh.io.incoming import Applications, Incoming
 from udp_mesh.io.outgoing import Outgoing, answer, ignore
 from udp_mesh.io.server import Connection
@@ -58,6 +59,7 @@ class Durable:
     ) -> None:
         self.custody = Custody(limit_bytes=config.store_bytes, age_s=config.store_age_s)
         self.inbox = Inbox(limit_bytes=config.store_bytes, age_s=config.store_age_s)
+        self.fates = Fates()
         self._counters: Counter[str] = Counter()
         self._core = core
         self._server = server
@@ -100,7 +102,7 @@ class Durable:
             self._report(StoreProblem(now, "store_failed", text))
             return None
         self._thread = thread
-        self._outgoing = Outgoing(self._core, self.custody, thread, self._problem, self._clock)
+        self._outgoing = Outgoing(self._core, self.custody, thread, self._problem, self._clock, self.fates)
         self._incoming = Incoming(self._core, self._server, self.inbox, thread, self._problem)
         for peer in self._core.peers(now=now):
             self._outgoing.remember(peer.name)

@@ -196,6 +196,8 @@ class Node:
     def _report(self, event: Event) -> None:
         if self._feed is not None:
             self._feed.add(event)
+        if self._durable.fates:
+            self._durable.fates.on_event(event)
         if isinstance(event, StoreProblem):
             print(f"udp-mesh: {event.reason}: {event.detail}", file=sys.stderr, flush=True)
 

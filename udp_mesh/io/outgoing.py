@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 from udp_mesh import local_wire
 from udp_mesh.core import envelope as envelopes
 from udp_mesh.core import wire
-from udp_mesh.core.custody import Custody, Stored
+from udp_mesh.core.custody import Custody
 from udp_mesh.core.envelope import DurableId, Envelope
 from udp_mesh.core.events import RefusalReason
 from udp_mesh.core.mesh import MeshCore, Refused
 from udp_mesh.core.settings import BROADCAST_NAME, MAX_MESSAGE_BYTES, Keep, Offline, Reliability, TopicPolicy
+from udp_mesh.core.stored import Stored
 from udp_mesh.io import compression, store_rows
+from udp_mesh.io.fates import Fates
 from udp_mesh.io.server import Connection
 from udp_mesh.local_wire import Publish, Verdict
 
@@ -37,6 +39,7 @@ class Outgoing:
         thread: Store,
         problem: Callable[[Outcome], None],
         clock: Callable[[], float],
+        fates: Fates,
     ) -> None:
         self.counters: Counter[str] = Counter()
         self.known_peers = dict.fromkeys(thread.contents.peers)
@@ -47,6 +50,7 @@ class Outgoing:
         self._thread = thread
         self._problem = problem
         self._clock = clock
+        self._fates = fates
         self._requests = thread.contents.requests
         self._deciding: dict[tuple[int, int], list[tuple[Connection, int]]] = {}
         self._committing_bytes = 0
@@ -72,6 +76,9 @@ class Outgoing:
             return
         sequence = self._requests.get(connection.client, {}).get(publish.request)
         if connection.client and sequence is not None:
+            if publish.is_tracked:
+                peer = None if publish.to == BROADCAST_NAME else publish.to
+                self._fates.resume(connection, publish.request, sequence, peer, self._custody)
             answer([(connection, publish.request)], sequence, None)
             return
         packed = compression.compress(publish.payload) if policy.compress else None
@@ -83,7 +90,9 @@ class Outgoing:
             answer([(connection, publish.request)], 0, refusal.reason)
             return
         self._deciding[key] = [(connection, publish.request)]
-        self._commit(key, entries, payload)
+        tracked = [(entry.sequence, entry.peer) for entry in entries] if publish.is_tracked else []
+        self._fates.admit(connection, publish.request, tracked)
+        self._commit(key, entries, payload, tracked)
 
     def _admit(self, publish: Publish, payload: bytes, packed: bytes | None, policy: TopicPolicy) -> list[Stored]:
         if not 0 < len(publish.topic.encode()) <= min(wire.MAX_TOPIC_BYTES, self._core.settings.packet_bytes // 2):
@@ -113,7 +122,9 @@ class Outgoing:
             raise Refused(RefusalReason.PEER_OFFLINE)
         return known if to == BROADCAST_NAME else [to]
 
-    def _commit(self, key: tuple[int, int], entries: list[Stored], payload: bytes) -> None:
+    def _commit(
+        self, key: tuple[int, int], entries: list[Stored], payload: bytes, tracked: list[tuple[int, str]]
+    ) -> None:
         client, request = key
         sequence = entries[0].sequence
         statements = [store_rows.put_outgoing(entry, payload) for entry in entries]
@@ -137,11 +148,15 @@ class Outgoing:
                     self._custody.committed(entry, now=now)
                     if not self._core.is_online(entry.peer):
                         entry.payload = None  # the file has it
+            askers = self._deciding.pop(key)
             if outcome.reason:
                 taken.pop(request, None)
                 self._problem(outcome)
+                self._fates.forget(tracked)
+            elif tracked:
+                self._fates.committed(askers, tracked)
             reason = RefusalReason(outcome.reason) if outcome.reason else None
-            answer(self._deciding.pop(key), 0 if reason else sequence, reason)
+            answer(askers, 0 if reason else sequence, reason)
 
         self._thread.write(statements, done)
 

@@ -9,7 +9,7 @@ from math import inf
 from time import monotonic
 
 from udp_mesh import config as configuration
-from udp_mesh import local_features, local_wire
+from udp_mesh import local_fates, local_features, local_wire
 from udp_mesh.core import envelope as envelopes
 from udp_mesh.core import wire
 from udp_mesh.core.envelope import Envelope
@@ -62,6 +62,9 @@ class Requests:
             elif kind == FrameType.TAKEN:
                 for durable_id in local_features.decode_taken(body):
                     self._durable.inbox.take(connection.number, durable_id)
+            elif kind == FrameType.FOLLOW:
+                request, sequence, peer = local_fates.decode_follow(body)
+                self._durable.fates.follow(connection, request, sequence, peer, self._durable.custody)
             elif kind == FrameType.WATCH:
                 self.status.watch(connection, local_features.decode_watch(body), now=monotonic())
             elif kind == FrameType.ASK:
@@ -102,6 +105,7 @@ class Requests:
                 policy=policy,
                 may_drop=not publish.waits,
                 flags=wire.DATA_FLAG_ENVELOPE if head else 0,
+                is_tracked=publish.is_tracked,
                 now=monotonic(),
             )
         except Refused as refusal:
@@ -110,6 +114,9 @@ class Requests:
                 return
             connection.send(local_wire.encode_verdict(Verdict(publish.request, 0, refusal.reason.value)))
         else:
+            if publish.is_tracked:
+                peers = self._core.destinations(message_id)
+                self._durable.fates.track(connection, publish.request, message_id, peers)
             if publish.wants_verdict:
                 connection.send(local_wire.encode_verdict(Verdict(publish.request, message_id, "")))
         connection.parked = None

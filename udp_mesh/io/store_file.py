@@ -14,9 +14,9 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from udp_mesh.core.custody import Stored
 from udp_mesh.core.envelope import DurableId
 from udp_mesh.core.inbox import Kept
+from udp_mesh.core.stored import Stored
 from udp_mesh.io import store_rows
 from udp_mesh.io.store_rows import policy, unsigned
 

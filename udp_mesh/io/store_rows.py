@@ -6,10 +6,10 @@ import json
 import time
 from pathlib import Path
 
-from udp_mesh.core.custody import Stored
 from udp_mesh.core.envelope import DurableId
 from udp_mesh.core.inbox import Kept
 from udp_mesh.core.settings import Keep, Offline, TopicPolicy
+from udp_mesh.core.stored import Stored
 
 Statement = tuple[str, tuple[object, ...]]
 
