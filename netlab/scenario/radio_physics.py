@@ -1,0 +1,164 @@
+"""The words for radio waves: propagation models by name, power, frequency and antennas of radios.
+
+Propagation models bring their own words (:mod:`netlab.world.propagation`). They compute with NumPy, which a lab of
+wires does without: it is imported when a scenario names a model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchema, model_validator
+from pydantic_core import CoreSchema
+
+from netlab.scenario.base import StrictModel, suggestion
+from netlab.scenario.quantities import ANGLE, DECIBELS, FREQUENCY, POWER, Quantity, describe
+
+if TYPE_CHECKING:
+    from netlab.world.antenna import Antenna
+    from netlab.world.propagation.model import PropagationModel
+
+#: Names of the project's own models; a name with a colon is somebody's `module:Class`.
+MODEL_NAMES = ("free_space", "log_distance", "tunnel", "subt")
+DEFAULT_FREQUENCY_HZ = 2.437e9
+DEFAULT_TX_POWER_DBM = 20.0
+_FACES = {"front": (0.0,), "back": (180.0,), "both": (0.0, 180.0)}
+
+
+def is_physical(name: object) -> bool:
+    """Whether ``propagation: {model: name}`` computes signal strengths from positions."""
+    return isinstance(name, str) and (name in MODEL_NAMES or ":" in name)
+
+
+def propagation_model(block: Mapping[str, object]) -> PropagationModel:
+    """Check a `propagation:` block that names such a model.
+
+    Raises:
+        ValueError: No such model; a pydantic ValidationError for its words.
+    """
+    from netlab.world.propagation.registry import model_class
+
+    words = {key: value for key, value in block.items() if key != "model"}
+    return model_class(str(block["model"])).model_validate(words)
+
+
+def model_schemas() -> list[dict[str, Any]]:
+    """JSON Schemas of the project's own models, `model:` included."""
+    from netlab.world.propagation.registry import MODELS
+
+    schemas = []
+    for name, model in MODELS.items():
+        schema = model.model_json_schema(by_alias=True)
+        schema["properties"] = {"model": {"const": name}, **schema["properties"]}
+        schema["required"] = ["model"]
+        schemas.append(schema)
+    return schemas
+
+
+def _facing(value: object) -> tuple[float, ...]:
+    if isinstance(value, (list, tuple)):
+        if not value:
+            raise ValueError("an antenna faces somewhere; name front, back or an angle")
+        return tuple(angle for part in value for angle in _facing(part))
+    if value in _FACES:
+        return _FACES[str(value)]
+    if isinstance(value, str) and value.isalpha():
+        raise ValueError(
+            f"'{value}' is no direction; {suggestion(value, list(_FACES), 'write an angle such as 90deg, or')}"
+        )
+    return (_Angle.parse(value),)
+
+
+def _pattern(value: object) -> tuple[tuple[float, float], ...]:
+    if not isinstance(value, (list, tuple)) or not value:
+        raise ValueError(
+            f"expected a list of [angle, gain], such as [[0deg, 9dB], [180deg, -6dB]], found {describe(value)}"
+        )
+    points = []
+    for point in value:
+        if not isinstance(point, (list, tuple)) or len(point) != 2:
+            raise ValueError(f"expected [angle, gain], such as [90deg, -3dB], found {describe(point)}")
+        points.append((_Angle.parse(point[0]), _Gain.parse(point[1])))
+    angles = [angle % 360.0 for angle, _ in points]
+    if len(set(angles)) != len(angles):
+        raise ValueError("the pattern has two gains at the same angle; remove one")
+    return tuple(points)
+
+
+_Angle = Quantity(ANGLE, minimum=-360.0, maximum=360.0)
+_Gain = Quantity(DECIBELS, minimum=-100.0, maximum=60.0)
+_TEXTS = {"type": "array", "items": {"type": "string"}}
+Facing = Annotated[
+    tuple[float, ...],
+    BeforeValidator(_facing),
+    WithJsonSchema({"anyOf": [{"enum": list(_FACES)}, {"type": "string", "examples": ["90deg"]}, _TEXTS]}),
+]
+Pattern = Annotated[
+    tuple[tuple[float, float], ...], BeforeValidator(_pattern), WithJsonSchema({"type": "array", "items": _TEXTS})
+]
+
+
+class AntennaWords(StrictModel):
+    """`omni`; a gain all around; a sector with ``beamwidth_deg``; or a measured ``pattern``.
+
+    Angles count counter-clockwise from straight ahead and turn with the robot.
+    """
+
+    gain_dbi: Annotated[float, _Gain] = Field(default=0.0, alias="gain")
+    beamwidth_deg: Annotated[float, Quantity(ANGLE, above_minimum=True, maximum=360.0)] | None = Field(
+        default=None, alias="beamwidth"
+    )
+    front_to_back_db: Annotated[float, Quantity(DECIBELS, maximum=80.0)] = Field(default=20.0, alias="front_to_back")
+    facing_deg: Facing = Field(default=(0.0,), alias="facing")
+    pattern: Pattern | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _omni(cls, value: object) -> object:
+        if value == "omni":
+            return {}
+        if isinstance(value, str):
+            raise ValueError(f"'{value}' is no antenna; write omni, or a block with gain, beamwidth and facing")
+        return value
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        given = self.model_fields_set
+        lonely = [key for key in ("front_to_back_db", "facing_deg") if key in given and self.beamwidth_deg is None]
+        if self.pattern is not None and given != {"pattern"}:
+            raise ValueError("pattern says all about an antenna; remove the other words beside it")
+        if lonely:
+            raise ValueError(f"{lonely[0].rpartition('_')[0]} belongs to a sector; add beamwidth: 60deg")
+        return self
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"const": "omni"}, handler(schema)]}
+
+    def antenna(self) -> Antenna:
+        """Its gains as a value."""
+        from netlab.world import antenna
+
+        if self.pattern is not None:
+            return antenna.table(self.pattern)
+        if self.beamwidth_deg is None:
+            return antenna.omni(self.gain_dbi)
+        return antenna.sector(
+            self.gain_dbi,
+            beamwidth_deg=self.beamwidth_deg,
+            front_to_back_db=self.front_to_back_db,
+            facing_deg=self.facing_deg,
+        )
+
+
+TransmitPower = Annotated[float, Quantity(POWER, minimum=-30.0, maximum=60.0)]
+Carrier = Annotated[float, Quantity(FREQUENCY, minimum=1e8, maximum=1e11)]
+
+
+class RadioEnds(StrictModel):
+    """What a node's own radio may have of its own; what is left out is as in the scenario's `radio:` block."""
+
+    frequency_hz: Carrier | None = Field(default=None, alias="frequency")
+    tx_power_dbm: TransmitPower | None = Field(default=None, alias="tx_power")
+    antenna: AntennaWords | None = None
