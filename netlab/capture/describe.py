@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import struct
 
-from netlab.capture import batman
+from netlab.capture import batman, flood
 from netlab.capture.decoders import LINKTYPE_ETHERNET, ethertype, mesh_of, traffic_of, udp_of
 from udp_mesh.core.wire import Dissection
 
+_MESHES = (batman.ETHERTYPE, flood.ETHERTYPE)
 _ETHERTYPES = {0x0806: "ARP", 0x86DD: "IPv6", 0x88CC: "LLDP"}
 _PROTOCOLS = {1: "ICMP", 2: "IGMP", 6: "TCP", 17: "UDP", 58: "ICMPv6"}
 _ICMP = {0: "echo reply", 3: "unreachable", 8: "echo request", 11: "time exceeded"}
@@ -52,7 +53,9 @@ def describe_mesh(mesh: Dissection) -> str:
 def _below_udp(frame: bytes) -> str:
     kind, start = ethertype(frame)
     if kind == batman.ETHERTYPE:
-        return _in_batman(frame, start)
+        return _inside(frame, batman.describe(frame, start), batman.inner_offset(frame, start))
+    if kind == flood.ETHERTYPE:
+        return _inside(frame, flood.describe(frame), flood.inner_offset(frame))
     if kind == 0x0806 and len(frame) >= start + 28:
         return _arp(frame, start)
     if kind != 0x0800 or len(frame) < start + 20:
@@ -66,11 +69,11 @@ def _below_udp(frame: bytes) -> str:
     return f"{text} {len(frame)} B"
 
 
-def _in_batman(frame: bytes, start: int) -> str:
-    inner = batman.inner_offset(frame, start)
-    if inner is None or ethertype(frame[inner:])[0] == batman.ETHERTYPE:  # nobody nests them; no endless descent
-        return f"{batman.describe(frame, start)} {len(frame)} B"
-    return f"{batman.describe(frame, start)}: {describe_frame(frame[inner:], LINKTYPE_ETHERNET)}"
+def _inside(frame: bytes, header: str, inner: int | None) -> str:
+    """Describe a mesh's frame by its header and by what travels inside."""
+    if inner is None or ethertype(frame[inner:])[0] in _MESHES:  # nobody nests them; no endless descent
+        return f"{header} {len(frame)} B"
+    return f"{header}: {describe_frame(frame[inner:], LINKTYPE_ETHERNET)}"
 
 
 def _arp(frame: bytes, start: int) -> str:

@@ -115,8 +115,16 @@ def _meshes(scenario: Scenario, ports: Iterable[Port]) -> Iterator[MeshInterface
         members[port.node].append(port.index)
     for place, (node, kind) in enumerate(scenario.meshes.items(), start=1):
         if kind is not None:
-            address, batman = _mesh_address(place), scenario.batman_options(node)
-            yield MeshInterface(node, kind, kind.ifname, _mesh_mac(place), address, tuple(members[node]), batman=batman)
+            yield MeshInterface(
+                node,
+                kind,
+                kind.ifname,
+                _mesh_mac(place),
+                _mesh_address(place),
+                tuple(members[node]),
+                batman=scenario.batman_options(node),
+                flood=scenario.flood_options(node),
+            )
 
 
 def _mesh_address(place: int) -> str:

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 
-from netlab.kernel import hwsim, probe
+from netlab.kernel import hwsim, probe, tun
 
 # Debian keeps these out of an ordinary user's PATH.
 _TOOL_PATH = os.pathsep.join((os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin"))
@@ -122,11 +122,10 @@ def _tc_in_lab() -> probe.TcFeatures:
 
 
 def _devices() -> list[Finding]:
-    remedy = "ask the machine's administrator for access to /dev/net/tun"
     mesh_remedy = "sudo modprobe batman-adv, or run such scenarios in a kernel that has it: netlab run FILE --in vm"
     radio_remedy = mesh_remedy.replace("batman-adv", "mac80211_hwsim radios=0", 1)
     return [
-        _tried("/dev/net/tun", probe.try_tun, "layer-2 meshes that run in user space", remedy),
+        _tried("/dev/net/tun", probe.try_tun, "nodes with mesh: flood", tun.REMEDY),
         _tried("batman-adv", probe.try_batman, "nodes with mesh: batman-adv", mesh_remedy),
         _tried("mac80211_hwsim", hwsim.missing, "radios with driver: hwsim", radio_remedy),
     ]

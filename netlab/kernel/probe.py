@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import pickle
 import socket
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from netlab.kernel import batman, messages, syscalls, tc
+from netlab.kernel import batman, messages, syscalls, tc, tun
 from netlab.kernel import namespaces as netns
 from netlab.kernel.counters import root_qdiscs
 from netlab.kernel.netem import tells_seed
@@ -35,8 +34,6 @@ _SOL_PACKET = 263
 _PACKET_RX_RING = 5
 _PACKET_VERSION = 10
 _TPACKET_V3 = 2
-_TUNSETIFF = 0x400454CA
-_IFF_TAP_NO_PI = 0x1002
 
 # A name for the user, the sysctl, the value that forbids, the command that allows.
 _USERNS_SWITCHES = (
@@ -193,11 +190,7 @@ def try_packet_ring() -> str | None:
 def try_tun() -> str | None:
     """A TAP interface from /dev/net/tun."""
     become_lab_root()
-    fd = os.open("/dev/net/tun", os.O_RDWR | os.O_CLOEXEC)
-    try:
-        fcntl.ioctl(fd, _TUNSETIFF, struct.pack("16sH22x", b"tap0", _IFF_TAP_NO_PI))
-    finally:
-        os.close(fd)
+    os.close(tun.open_tap("tap0"))
     return None
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import tomli_w
 
+from netlab.engines import mesh_interfaces
 from netlab.engines.base import LabPlan
 from netlab.engines.plan import compile_plan
 from netlab.lab.process import ProcessSpec, Restart
@@ -46,6 +47,14 @@ def node_processes(scenario: Scenario, node: str, folder: Path, plan: LabPlan | 
             )
         )
     return specs
+
+
+def mesh_processes(plan: LabPlan) -> list[ProcessSpec]:
+    """The processes that are nodes' meshes; to be ready before anything else starts."""
+    return [
+        ProcessSpec(node=process.node, name=process.name, argv=process.argv, waits_for_ready=True)
+        for process in mesh_interfaces.processes(plan)
+    ]
 
 
 def mesh_environment(scenario: Scenario, node: str) -> dict[str, str]:

@@ -30,6 +30,7 @@ from netlab.lab.usage import usage_at_end
 #: Programs that are called in the forked child instead of executed; the key stands as argv[0].
 BUILTIN_PROGRAMS = {
     "udp-mesh-daemon": "udp_mesh.daemon:main",
+    "netlab-flood": "netlab.flood.daemon:main",
     "netlab-traffic-source": "netlab.lab.traffic:source_main",
     "netlab-traffic-sink": "netlab.lab.traffic:sink_main",
 }

@@ -34,7 +34,7 @@ from netlab.lab.isolation import keep_paths
 from netlab.lab.launch import LaunchOptions, log_tail
 from netlab.lab.links import Links
 from netlab.lab.processes import Processes
-from netlab.lab.programs import node_processes, stream_routes
+from netlab.lab.programs import mesh_processes, node_processes, stream_routes
 from netlab.lab.recording import Recording
 from netlab.lab.registry import LabFolder
 from netlab.lab.requests import Requests
@@ -96,6 +96,8 @@ class Supervisor:
         keep = keep_paths(sys.prefix, sys.base_prefix, self._folder.path, *self._options.keep_visible)
         for node in self.plan.nodes:
             self.processes.add_node(node, self._engine.namespace_fds[node], text, keep)
+        await wait_ready([self.processes.start(spec) for spec in mesh_processes(self.plan)], READY_LIMIT_S)
+        mesh_interfaces.wait_for_processes(self.plan, self._engine.namespace_fds)
         folder = self._folder.path
         specs = [s for node in self.plan.nodes for s in node_processes(self._scenario, node, folder, self.plan)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)

@@ -1,7 +1,7 @@
 """A node's mesh: the ports that belong to it, and the one interface of the node that has an address. Values only.
 
-With a mesh all of a node's ports are its *members*; only the mesh interface has an address. Either the kernel makes
-that interface (batman-adv) or a process of the node does (a daemon behind a tap): ``MeshKind.made_by_kernel`` tells.
+With a mesh all of a node's ports are its *members*; only the mesh interface has an address. Either the kernel is the
+mesh (batman-adv), or a process of the node that holds the other end of a tap: ``MeshKind.made_by_kernel`` tells.
 """
 
 from __future__ import annotations
@@ -13,22 +13,31 @@ from enum import StrEnum
 #: members (net/batman-adv/main.c, batadv_max_header_len), and then leaves 1500 for the mesh interface.
 MEMBER_MTU_BYTES = 1532
 MESH_MTU_BYTES = 1500
+#: The flood's own header; with the Ethernet header inside it fills those 1532 bytes (netlab.flood.wire).
+FLOOD_HEADER_BYTES = 18
+assert FLOOD_HEADER_BYTES + 14 + MESH_MTU_BYTES <= MEMBER_MTU_BYTES
 
 
 class MeshKind(StrEnum):
     """What routes between nodes below IP; the words of a scenario file."""
 
     BATMAN_ADV = "batman-adv"
+    FLOOD = "flood"
 
     @property
     def ifname(self) -> str:
         """The mesh interface's name in every node."""
-        return "bat0"
+        return {MeshKind.BATMAN_ADV: "bat0", MeshKind.FLOOD: "flood0"}[self]
 
     @property
     def made_by_kernel(self) -> bool:
-        """Whether the mesh interface exists before the node's first process; else a process makes it."""
-        return self is MeshKind.BATMAN_ADV
+        """Whether the kernel is the mesh; else a process of the node is, behind a tap."""
+        return self.process is None
+
+    @property
+    def process(self) -> str | None:
+        """The name of the process that is the mesh, in every node; None where the kernel is."""
+        return "flood" if self is MeshKind.FLOOD else None
 
 
 class RoutingAlgorithm(StrEnum):
@@ -54,6 +63,15 @@ class BatmanOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class FloodOptions:
+    """The flood's settings: at most ``hop_limit`` (1..255) transmissions in a row; a relay waits 0 to ``jitter_s``
+    before it sends on a radio."""
+
+    hop_limit: int = 64
+    jitter_s: float = 0.005
+
+
+@dataclass(frozen=True, slots=True)
 class MeshInterface:
     """One node's mesh interface. ``ports`` are its members' places in ``LabPlan.ports``; ``address`` as of a port."""
 
@@ -65,3 +83,4 @@ class MeshInterface:
     ports: tuple[int, ...]
     mtu: int = MESH_MTU_BYTES
     batman: BatmanOptions = BatmanOptions()
+    flood: FloodOptions = FloodOptions()

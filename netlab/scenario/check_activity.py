@@ -123,11 +123,11 @@ class _Activity:
         if not self._known(kill.node):
             return
         process = self._scenario.nodes[kill.node].process(kill.process)
-        if process is None:
-            known = [process.name for process in self._scenario.nodes[kill.node].processes]
+        known = self._scenario.process_names(kill.node)
+        if kill.process not in known:
             hint = suggestion(kill.process, known, "its processes are") if known else "it runs no process"
             yield (*path, "kill", "process"), f"node '{kill.node}' runs no process '{kill.process}'; {hint}"
-        elif process.restart == "always" and event.restart_s is not None:
+        elif process is not None and process.restart == "always" and event.restart_s is not None:
             yield (*path, "restart"), f"'{process.name}' restarts by itself (restart: always); remove one of the two"
 
     def expectations(self) -> Iterator[Problem]:

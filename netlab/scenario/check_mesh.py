@@ -12,16 +12,25 @@ from netlab.scenario.problems import Problem
 def check_meshes(scenario: Scenario) -> Iterator[Problem]:
     """Yield every mistake in nodes' meshes."""
     yield from _settings_without_mesh(scenario)
+    yield from _names_taken(scenario)
     yield from _across(scenario)
     yield from _algorithms(scenario)
 
 
 def _settings_without_mesh(scenario: Scenario) -> Iterator[Problem]:
     for name, node in scenario.nodes.items():
-        if node.batman_adv is not None and scenario.meshes[name] is not MeshKind.BATMAN_ADV:
+        for key, kind in (("batman_adv", MeshKind.BATMAN_ADV), ("flood", MeshKind.FLOOD)):
+            if getattr(node, key) is not None and scenario.meshes[name] is not kind:
+                words = f"belongs to mesh: {kind}, and '{name}' has {_word(scenario, name)}"
+                yield ("nodes", name, key), words
+
+
+def _names_taken(scenario: Scenario) -> Iterator[Problem]:
+    for name, kind in scenario.meshes.items():
+        if kind is not None and kind.process is not None and scenario.nodes[name].process(kind.process):
             yield (
-                ("nodes", name, "batman_adv"),
-                f"belongs to mesh: batman-adv, and '{name}' has {_word(scenario, name)}",
+                ("nodes", name, "processes"),
+                f"'{kind.process}' is the process that is the node's mesh; give yours another name:",
             )
 
 

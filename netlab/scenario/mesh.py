@@ -7,17 +7,19 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from netlab.medium.meshes import BatmanOptions, MeshKind, RoutingAlgorithm
+from netlab.medium.meshes import BatmanOptions, FloodOptions, MeshKind, RoutingAlgorithm
 from netlab.scenario.base import StrictModel, Switch, not_yet
 from netlab.scenario.quantities import DURATION, Quantity, describe
 
 MESHES = ("none", *MeshKind)
-_LATER_MESHES = ("wnet", "flood", "babel", "babeld")
+_LATER_MESHES = ("wnet", "babel", "babeld")
 _BATMAN = ("batman", "batman_adv", "bat0", "batadv")
 
 #: What a file may say; None (the key is absent) means the top level's, which is `none` by default.
 MeshWord = Annotated[
-    Literal["none", "batman-adv"], BeforeValidator(lambda value: _mesh(value)), WithJsonSchema({"enum": list(MESHES)})
+    Literal["none", "batman-adv", "flood"],
+    BeforeValidator(lambda value: _mesh(value)),
+    WithJsonSchema({"enum": list(MESHES)}),
 ]
 
 
@@ -54,6 +56,19 @@ class BatmanSettings(StrictModel):
     def laid_over(self, base: BatmanSettings) -> BatmanOptions:
         """These settings over ``base``, over the defaults."""
         return BatmanOptions(**{**base.model_dump(exclude_none=True), **self.model_dump(exclude_none=True)})
+
+
+class FloodSettings(StrictModel):
+    """Settings of the flood, at top level or in a node (which wins); None leaves the lab's or the default."""
+
+    hop_limit: Annotated[int, Field(ge=1, le=255)] | None = None
+    jitter_s: Annotated[float, Quantity(DURATION, minimum=0.0, maximum=1.0)] | None = Field(
+        default=None, alias="jitter"
+    )
+
+    def laid_over(self, base: FloodSettings) -> FloodOptions:
+        """These settings over ``base``, over the defaults."""
+        return FloodOptions(**{**base.model_dump(exclude_none=True), **self.model_dump(exclude_none=True)})
 
 
 def components(nodes: Iterable[str], joins: Iterable[tuple[str, str]]) -> dict[str, Hashable]:

@@ -13,13 +13,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
-from netlab.medium.meshes import BatmanOptions, MeshKind
+from netlab.medium.meshes import BatmanOptions, FloodOptions, MeshKind
 from netlab.scenario.base import NodeName, NotYet, StrictModel, not_yet
 from netlab.scenario.events import Event
 from netlab.scenario.expect import AnyExpectation
 from netlab.scenario.generate import Generate
 from netlab.scenario.links import Link, Wire, wires
-from netlab.scenario.mesh import BatmanSettings, MeshWord, components, same_mesh
+from netlab.scenario.mesh import BatmanSettings, FloodSettings, MeshWord, components, same_mesh
 from netlab.scenario.nodes import MeshSettings, Node
 from netlab.scenario.quantities import PositiveSeconds
 from netlab.scenario.radio import Radio
@@ -50,6 +50,7 @@ class Scenario(StrictModel):
     radio: Radio | None = None
     mesh: MeshWord = "none"
     batman_adv: BatmanSettings = BatmanSettings()
+    flood: FloodSettings = FloodSettings()
     udp_mesh: MeshSettings = MeshSettings()
     nodes: dict[NodeName, Node] = Field(min_length=1)
     links: tuple[Link, ...] = ()
@@ -114,6 +115,16 @@ class Scenario(StrictModel):
     def batman_options(self, node: str) -> BatmanOptions:
         """batman-adv's settings in ``node``: the top-level block, overlaid by the node's own."""
         return (self.nodes[node].batman_adv or BatmanSettings()).laid_over(self.batman_adv)
+
+    def flood_options(self, node: str) -> FloodOptions:
+        """The flood's settings in ``node``: the top-level block, overlaid by the node's own."""
+        return (self.nodes[node].flood or FloodSettings()).laid_over(self.flood)
+
+    def process_names(self, node: str) -> tuple[str, ...]:
+        """What runs in a node by name: its own processes, and that which is its mesh."""
+        own = tuple(process.name for process in self.nodes[node].processes)
+        mesh = self.meshes[node]
+        return own if mesh is None or mesh.process is None else (*own, mesh.process)
 
     def destinations(self, traffic: Traffic) -> tuple[str, ...]:
         """Who gets a traffic entry's messages; `all` is every node in its reach that runs udp_mesh."""

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchem
 from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
-from netlab.scenario.mesh import BatmanSettings, MeshWord
+from netlab.scenario.mesh import BatmanSettings, FloodSettings, MeshWord
 from netlab.scenario.quantities import DURATION, RATE, RATIO, SIZE, PositiveSeconds, Quantity, describe
 from netlab.scenario.radio import node_radio
 from netlab.scenario.rate_limit import RateLimit
@@ -198,6 +198,7 @@ class Node(StrictModel):
     radio: Annotated[Literal["none"], BeforeValidator(node_radio), WithJsonSchema({"const": "none"})] | None = None
     mesh: MeshWord | None = None
     batman_adv: BatmanSettings | None = None
+    flood: FloodSettings | None = None
     waypoints: NotYet = None
     speed: NotYet = None
     carried_by: NotYet = None

@@ -13,10 +13,10 @@ from netlab.errors import MachineError
 from netlab.scenario import parse_scenario
 
 
-def plan(mesh: str) -> LabPlan:
+def plan(mesh: str, **keys: object) -> LabPlan:
     links = [{"between": ["a", "r"]}, {"between": ["r", "b"]}]
     nodes: dict[str, dict[str, str]] = {"a": {}, "r": {}, "b": {}}
-    return compile_plan(parse_scenario({"duration": "1s", "mesh": mesh, "nodes": nodes, "links": links}))
+    return compile_plan(parse_scenario({"duration": "1s", "mesh": mesh, "nodes": nodes, "links": links, **keys}))
 
 
 def test_every_node_gets_its_interface_with_its_own_members(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,6 +28,23 @@ def test_every_node_gets_its_interface_with_its_own_members(monkeypatch: pytest.
         (12, "bat0", "10.240.0.2/16", ["eth0", "eth1"]),
         (13, "bat0", "10.240.0.3/16", ["eth0"]),
     ]
+
+
+def test_a_mesh_that_is_a_process_gets_a_tap_and_the_process_its_members(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(mesh_interfaces.taps, "create", lambda *order: made.append(order))
+    flooded = plan("flood", radio={"propagation": {"model": "none"}}, flood={"jitter": "2ms"})
+    mesh_interfaces.bring_up(flooded, {"a": 11, "r": 12, "b": 13})
+    assert made == [
+        (fd, "flood0", mesh.mac, f"10.240.0.{place}/16", 1500)
+        for place, (fd, mesh) in enumerate(zip((11, 12, 13), flooded.meshes, strict=True), start=1)
+    ]
+    _, relay, _ = mesh_interfaces.processes(flooded)
+    assert (relay.node, relay.name, relay.argv[0]) == ("r", "flood", "netlab-flood")
+    words = dict(zip(relay.argv[1::2], relay.argv[2::2], strict=True))
+    assert (words["--radio"], words["--jitter"], words["--hop-limit"]) == ("radio0", "0.002", "64")
+    assert [relay.argv[at + 1] for at, word in enumerate(relay.argv) if word == "--wire"] == ["eth0", "eth1"]
+    assert mesh_interfaces.processes(plan("batman-adv")) == []
 
 
 def test_a_refusal_names_the_node(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,7 +61,10 @@ def test_the_kernel_is_asked_only_where_a_mesh_needs_it(monkeypatch: pytest.Monk
     mesh_interfaces.check_kernel(plan("none"))
     with pytest.raises(MachineError, match=r"\(no interface of kind batadv\); load it .* --in vm .*netlab vm build"):
         mesh_interfaces.check_kernel(plan("batman-adv"))
+    with pytest.raises(MachineError, match=r"mesh: flood needs /dev/net/tun .* access to /dev/net/tun, or .* --in vm"):
+        mesh_interfaces.check_kernel(plan("flood"))
     monkeypatch.setattr(mesh_interfaces, "in_child", lambda trial: None)
+    mesh_interfaces.check_kernel(plan("flood"))
     mesh_interfaces.check_kernel(plan("batman-adv"))
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import ScenarioError
-from netlab.medium.meshes import BatmanOptions, MeshKind, RoutingAlgorithm
+from netlab.medium.meshes import BatmanOptions, FloodOptions, MeshKind, RoutingAlgorithm
 from netlab.scenario import Scenario, parse_scenario
 
 NODE = {"processes": ["udp_mesh"]}
@@ -90,12 +90,42 @@ def test_batman_settings_lie_over_one_another() -> None:
     assert compile_plan(meshed).meshes[0].batman == meshed.batman_options("a")
 
 
+def test_flood_settings_lie_over_one_another_and_its_process_can_be_killed() -> None:
+    nodes = {"a": {**NODE, "flood": {"jitter": "1ms"}}, "b": NODE, "c": {"mesh": "none"}}
+    kill = {"at": "1s", "kill": {"node": "b", "process": "flood"}, "restart": "1s"}
+    meshed = scenario(mesh="flood", flood={"hop_limit": 3}, nodes=nodes, links=LINE[:1], events=[kill])
+    assert meshed.flood_options("a") == FloodOptions(3, 0.001)
+    assert meshed.flood_options("b") == FloodOptions(3)
+    assert [meshed.process_names(node) for node in "abc"] == [("udp_mesh", "flood"), ("udp_mesh", "flood"), ()]
+    a, b = compile_plan(meshed).meshes
+    assert (a.kind, a.ifname, a.address, a.flood) == (MeshKind.FLOOD, "flood0", "10.240.0.1/16", FloodOptions(3, 0.001))
+    assert (b.flood, MeshKind.FLOOD.made_by_kernel, MeshKind.BATMAN_ADV.made_by_kernel) == (
+        FloodOptions(3),
+        False,
+        True,
+    )
+
+
 @pytest.mark.parametrize(
     ("keys", "problem"),
     [
         ({"mesh": "batman"}, "mesh: unknown mesh 'batman'; did you mean 'batman-adv'?"),
-        ({"mesh": "flood"}, "mesh: mesh 'flood' is not available yet; use none, batman-adv"),
-        ({"mesh": "olsr"}, "mesh: unknown mesh 'olsr'; known are none, batman-adv"),
+        ({"mesh": "wnet"}, "mesh: mesh 'wnet' is not available yet; use none, batman-adv, flood"),
+        ({"mesh": "olsr"}, "mesh: unknown mesh 'olsr'; known are none, batman-adv, flood"),
+        ({"mesh": "flood", "flood": {"jitter": "2s"}}, "flood.jitter: "),
+        ({"mesh": "flood", "flood": {"hop_limit": 0}}, "flood.hop_limit: '0' is impossible; it must be at least 1"),
+        (
+            {"nodes": {"a": MESHED, "b": MESHED, "c": {**MESHED, "flood": {"hop_limit": 1}}}},
+            "nodes.c.flood: belongs to mesh: flood, and 'c' has mesh: batman-adv",
+        ),
+        (
+            {"mesh": "flood", "nodes": {"a": {}, "b": {}, "c": {"processes": [{"argv": ["x"], "name": "flood"}]}}},
+            "nodes.c.processes: 'flood' is the process that is the node's mesh; give yours another name:",
+        ),
+        (
+            {"mesh": "flood", "events": [{"at": "1s", "kill": {"node": "a", "process": "flood"}}]},
+            "node 'a' runs no process 'flood'; its processes are udp_mesh",
+        ),
         ({"batman_adv": {"routing_algorithm": "VI"}}, "unknown routing algorithm 'VI'; known are BATMAN_IV, BATMAN_V"),
         ({"batman_adv": {"originator_interval": "10ms"}}, "batman_adv.originator_interval: "),
         ({"batman_adv": {"hop_penalty": 256}}, "batman_adv.hop_penalty: '256' is impossible; it must be at most 255"),

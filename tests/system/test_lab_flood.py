@@ -1,0 +1,112 @@
+"""Nodes in a flood: over hops by wire and radio, on every engine and clock, and what its death does."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from netlab.capture.reader import Capture
+from netlab.capture.records import JsonRecord, Kind, PacketRecord
+from netlab.pytest_plugin import MakeLab
+
+TOPOLOGIES = Path(__file__).parents[2] / "topologies"
+FLOOD_TYPE = bytes.fromhex("88b5")
+LINE: dict[str, Any] = {
+    "duration": "2s",
+    "mesh": "flood",
+    "nodes": {"a": {"processes": ["udp_mesh"]}, "r": {}, "b": {"processes": ["udp_mesh"]}},
+    "links": [{"between": ["a", "r"], "delay": "2ms"}, {"between": ["r", "b"], "delay": "2ms"}],
+    "traffic": [{"from": "a", "to": "b", "topic": "t", "size": "100B", "rate": "20Hz"}],
+}
+IN_RANGE = [{"between": ["a", "r"], "delay": "1ms"}, {"between": ["r", "b"], "delay": "1ms"}]
+BY_RADIO = {**LINE, "links": [], "radio": {"propagation": {"model": "table", "pairs": IN_RANGE}}}
+
+
+def test_messages_cross_a_relay_and_the_capture_tells_all(make_lab: MakeLab) -> None:
+    lab = make_lab(LINE)
+    result = lab.run()
+    stream = result.stream("t")
+    assert stream["delivered"] == stream["sent"] == 40, result.report()
+    assert stream["duplicates"] == 0
+    assert stream["latency_s"]["p50"] >= 0.004  # both hops
+    with Capture.open(lab.capture) as capture:
+        packets = [record for record in capture.records({Kind.PACKET}) if isinstance(record, PacketRecord)]
+        events = [record for record in capture.records({Kind.EVENT}) if isinstance(record, JsonRecord)]
+    kinds = {(record.node, record.interface): set[bool]() for record in packets}
+    for record in packets:
+        kinds[record.node, record.interface].add(record.frame[12:14] == FLOOD_TYPE)
+    assert kinds["a", "flood0"] == {False}, "inside the mesh interface frames are plain"
+    for member in (("a", "eth0"), ("r", "eth0"), ("r", "eth1"), ("b", "eth0")):
+        assert kinds[member] == {True}, "members carry nothing but the mesh"
+    assert {name for pair in result.trace.links for _, name in pair} == {"eth0", "eth1"}
+    relayed = [event.payload["relayed"] for event in events if event.node == "r" and event.text("event") == "stats"]
+    assert relayed, "the relay tells what it has counted"
+    assert relayed == sorted(relayed)
+
+
+def test_by_radio_a_relay_sends_again_where_it_heard(make_lab: MakeLab) -> None:
+    lab = make_lab(BY_RADIO)
+    result = lab.run()
+    assert result.stream("t")["delivered"] == result.stream("t")["sent"] == 40, result.report()
+    assert {name for pair in result.trace.links for _, name in pair} == {"radio0"}
+
+
+@pytest.mark.usefixtures("netem_kernel")
+@pytest.mark.parametrize("scenario", [LINE, BY_RADIO], ids=["wires", "radio"])
+def test_on_the_kernel_s_own_physics_too(make_lab: MakeLab, scenario: dict[str, Any]) -> None:
+    result = make_lab(scenario, engine="netem").run()
+    assert result.stream("t")["delivered"] == 40, result.report()
+
+
+def test_pings_broadcasts_and_whole_packets_pass(make_lab: MakeLab) -> None:
+    lab = make_lab(LINE)
+    told = json.loads(lab.exec("r", "ip", "-json", "address").stdout)
+    found = {link["ifname"]: [entry["family"] for entry in link["addr_info"]] for link in told}
+    assert found.pop("flood0") == ["inet", "inet6"]
+    assert found.pop("lo")
+    assert found == {"eth0": [], "eth1": []}
+    mtu = {link["ifname"]: link["mtu"] for link in told}
+    assert (mtu["flood0"], mtu["eth0"]) == (1500, 1532)
+    assert lab.exec("a", "getent", "hosts", "b").stdout.split()[0] == "10.240.0.3"
+    whole = lab.exec("a", "ping", "-c3", "-i0.2", "-Mdo", "-s1472", "b")
+    assert whole.returncode == 0, whole.stdout
+    everybody = lab.exec("a", "ping", "-b", "-c1", "-W2", "10.240.255.255")
+    assert "0 received" in everybody.stdout or everybody.returncode == 0  # answered only where the kernel is told to
+    neighbours = json.loads(lab.exec("b", "ip", "-json", "neighbour").stdout)
+    assert {entry["dst"]: entry["dev"] for entry in neighbours if entry["dst"].startswith("10.")} == {
+        "10.240.0.1": "flood0"
+    }
+
+
+def test_the_end_of_a_flood_is_reported(make_lab: MakeLab) -> None:
+    lab = make_lab(LINE)
+    lab.begin()
+    lab.wait_until(0.5)
+    [pid] = [row["pid"] for row in lab.status()["processes"] if (row["node"], row["process"]) == ("r", "flood")]
+    assert lab.exec("r", "kill", "-9", str(pid)).returncode == 0
+    result = lab.finish()
+    assert any(
+        re.match(r"r: process 'flood' was ended by SIGKILL; argv: netlab-flood", text) for text in result.problems
+    )
+    assert result.stream("t")["delivered"] < 40
+
+
+def test_a_flood_that_was_killed_works_again_after_its_restart(make_lab: MakeLab) -> None:
+    kill = {"at": "0.5s", "kill": {"node": "r", "process": "flood"}, "restart": "500ms"}
+    traffic = [{**LINE["traffic"][0], "offline": "store"}]
+    result = make_lab({**LINE, "duration": "3s", "events": [kill], "traffic": traffic}).run()
+    assert result.problems == [], result.report()
+    assert result.stream("t")["delivered"] == 60, result.report()
+    assert 0.5 <= result.stream("t")["longest_gap_s"] < 2.0
+
+
+def test_the_diamond_reroutes_with_the_next_message(make_lab: MakeLab) -> None:
+    result = make_lab(TOPOLOGIES / "relay_diamond.yaml", overrides=["mesh=flood"], packets=False).run()
+    assert all(row.passed for row in result.expectations), result.report()
+    delays = [row["delay_s"] for row in result.summary["reroutes"]]
+    assert len(delays) == 2
+    assert max(delays) < 0.15, "one message interval, one way"
