@@ -112,7 +112,7 @@ class Flooder:
         return frame[INNER_AT : INNER_AT + header.length_bytes]
 
     def due(self, *, now: float) -> list[Sending]:
-        """Return, once, the relayed frames whose time has come, in order on every member."""
+        """Return, once, the relayed frames whose time has come; on every member none before an earlier one."""
         found: list[Sending] = []
         for member, waiting in enumerate(self._waiting):
             while waiting and waiting[0][0] <= now:
@@ -142,4 +142,4 @@ class Flooder:
             if len(waiting) >= QUEUE_LIMIT:
                 self._counts[Count.QUEUE_FULL] += 1
                 continue
-            waiting.append((max(due, waiting[-1][0]) if waiting else due, self._heads[member] + tail))
+            waiting.append((due, self._heads[member] + tail))
