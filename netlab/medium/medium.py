@@ -3,18 +3,28 @@
 A wire carries every frame to its other end. A radio carries group frames to every port in range, and a unicast frame to
 the port that owns its destination (by the port's own address, or by a source address that its node has used: bridges
 and mesh interfaces send under others) and to monitors.
+
+Where a radio's ports share a channel, frames wait for their turn: :meth:`Medium.transmit` only queues them, and
+:meth:`Medium.advance` tells later what became of them.
 """
 
 from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from netlab.medium.chance import stable_seed
 from netlab.medium.impairments import Impairment
 from netlab.medium.pair import Outcome, Pair
 from netlab.medium.segments import Port, Segment, SegmentKind
 from netlab.medium.verdicts import Verdict
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from netlab.medium.channel_segment import Sent, SharedChannel
 
 _LEARNED_LIMIT = 4096  # addresses per radio segment beyond the ports' own
 _ROUTES_LIMIT = 4096  # remembered destinations per sender
@@ -62,6 +72,9 @@ class Medium:
         self._routes: list[dict[bytes, tuple[Pair, ...]]] = [{} for _ in ports]
         self._counts = [0] * len(Verdict)
         self._unaddressed = 0
+        self._channels: dict[str, SharedChannel] = {}
+        self._channel: list[SharedChannel | None] = [None] * len(self._ports)
+        self._sent: list[Sent] = []
         for segment in segments:
             self._add(segment)
 
@@ -75,12 +88,15 @@ class Medium:
         """Unicast frames on a radio whose destination no port owns and no monitor heard."""
         return self._unaddressed
 
-    def transmit(self, sender: int, frame: bytes, *, now: float) -> list[Outcome]:
+    def transmit(self, sender: int, frame: bytes, *, now: float, tag: int = 0) -> list[Outcome]:
         """Decide on ``frame`` (from its destination address on, at least 14 bytes) sent at ``now``.
+
+        ``tag`` comes back with what a shared channel decides later; a channel's frames must come in order of ``now``.
 
         Returns:
             (due_s, receiver port, frame as received, verdict) per receiver, twice where duplicated; due_s is
-            ``pair.DROPPED``, a negative number, where nothing arrives. Never earlier than ``now`` otherwise.
+            ``pair.DROPPED``, a negative number, where nothing arrives. Never earlier than ``now`` otherwise. On a
+            shared channel nothing but what found the queue full.
         """
         radio = self._radio[sender]
         pairs: Iterable[Pair]
@@ -90,14 +106,30 @@ class Medium:
             source = frame[6:12]
             if radio.owner.get(source) != sender and radio.learn(source, sender):
                 self._forget_routes()
+            if (channel := self._channel[sender]) is not None:
+                return self._share(channel, sender, radio, frame, now, tag)
             pairs = self._audience[sender] if frame[0] & 1 else self._route(sender, radio, frame[:6])
         outcomes: list[Outcome] = []
         for pair in pairs:
             pair.offer(frame, now, outcomes)
-        counts = self._counts
-        for outcome in outcomes:
-            counts[outcome[3]] += 1
+        self._count(outcomes)
         return outcomes
+
+    def next_event(self) -> float | None:
+        """When :meth:`advance` may have something to tell if nothing is sent before; None: never."""
+        known = [at_s for channel in self._channels.values() if (at_s := channel.next_event()) is not None]
+        return min(known, default=None)
+
+    def advance(self, *, now: float) -> list[Sent]:
+        """Let the shared channels work until ``now``; returns what they have decided since the last call."""
+        if not self._channels:
+            return []
+        for channel in self._channels.values():
+            self._sent += channel.advance(now)
+        sent, self._sent = self._sent, []
+        for done in sent:
+            self._count(done.outcomes)
+        return sent
 
     def set_pairs(self, changes: Mapping[tuple[int, int], Impairment | None]) -> None:
         """Change pairs for later frames; None takes a pair out of range.
@@ -108,6 +140,8 @@ class Medium:
         self._check(changes)
         for (sender, receiver), impairment in changes.items():
             self._heard(sender, receiver).configure(impairment)
+        for channel, parts in self._by_channel(changes):
+            channel.set_pairs({pair: changes[pair] for pair in parts})
 
     def set_outage(self, pairs: Iterable[tuple[int, int]], *, active: bool) -> None:
         """Lose every later frame on ``pairs`` silently, or end that.
@@ -118,7 +152,53 @@ class Medium:
         chosen = list(pairs)
         self._check(chosen)
         for sender, receiver in chosen:
-            self._pair(sender, receiver).set_outage(active)
+            if self._channel[sender] is None:
+                self._pair(sender, receiver).set_outage(active)
+        for channel, parts in self._by_channel(chosen):
+            channel.set_outage(parts, active=active)
+
+    def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
+        """Say how strongly the ports of a shared channel hear each other: ``[sender, receiver]`` in their order, dBm.
+
+        Raises:
+            ValueError: The segment has no shared channel, or not as many ports.
+        """
+        if segment not in self._channels:
+            raise ValueError(f"segment '{segment}' is no shared channel")
+        self._channels[segment].set_rssi(rssi_dbm)
+
+    def signals_dbm(self, sent: Sent) -> dict[int, int]:
+        """How strongly each receiver of ``sent`` hears its sender, in whole dBm."""
+        channel = self._channel[sent.sender]
+        assert channel is not None
+        return channel.signals_dbm(sent.sender, sent.outcomes)
+
+    def _share(
+        self, channel: SharedChannel, sender: int, radio: _Radio, frame: bytes, now: float, tag: int
+    ) -> list[Outcome]:
+        receiver = None
+        if not frame[0] & 1:
+            receiver = radio.owner.get(frame[:6])
+            if receiver is None or receiver == sender:
+                self._unaddressed += 1
+                return []
+        self._sent += channel.advance(now)
+        outcomes = channel.offer(sender, frame, receiver, now=now, tag=tag)
+        self._count(outcomes)
+        return outcomes
+
+    def _by_channel(self, pairs: Iterable[tuple[int, int]]) -> Iterable[tuple[SharedChannel, list[tuple[int, int]]]]:
+        """Sort the pairs that are on shared channels."""
+        found: dict[int, tuple[SharedChannel, list[tuple[int, int]]]] = {}
+        for pair in pairs:
+            if (channel := self._channel[pair[0]]) is not None:
+                found.setdefault(id(channel), (channel, []))[1].append(pair)
+        return found.values()
+
+    def _count(self, outcomes: list[Outcome]) -> None:
+        counts = self._counts
+        for outcome in outcomes:
+            counts[outcome[3]] += 1
 
     def _add(self, segment: Segment) -> None:
         members = [self._ports[index] for index in segment.ports]
@@ -131,6 +211,12 @@ class Medium:
         self._check(segment.pairs)
         for (sender, receiver), impairment in sorted(segment.pairs.items(), key=lambda item: item[0]):
             self._heard(sender, receiver).configure(impairment)
+        if segment.channel is not None:
+            from netlab.medium.channel_segment import SharedChannel  # tables that a lab of wires does without
+
+            channel = self._channels[segment.name] = SharedChannel(segment, members, self._seed, self._pair)
+            for port in members:
+                self._channel[port.index] = channel
 
     def _heard(self, sender: int, receiver: int) -> Pair:
         """The pair, from now on among those that group frames of ``sender`` concern."""

@@ -8,6 +8,13 @@ from enum import StrEnum
 
 from netlab.medium.impairments import Impairment
 
+#: Thermal noise of 20 MHz, -101 dBm, and a receiver's noise figure of 7 to 10 dB.
+DEFAULT_NOISE_DBM = -91.0
+#: What an interface and its driver hold; more would only wait.
+DEFAULT_LIMIT_PACKETS = 64
+#: How strongly a receiver hears a sender of which nothing is said.
+DEFAULT_RSSI_DBM = -50.0
+
 
 class SegmentKind(StrEnum):
     """A wire carries every frame to its other end; a radio delivers unicast frames to their addressee only."""
@@ -57,10 +64,28 @@ class Wifi:
 
 
 @dataclass(frozen=True, slots=True)
+class ChannelSpec:
+    """A radio segment whose ports share one channel and its airtime (:mod:`netlab.medium.channel`).
+
+    ``phy`` is a name in ``netlab.medium.phy.PHYS``. ``rate_bps`` fixes the rate of unicast frames, None leaves it to
+    rate control. ``cca_dbm``: a station that hears this or more defers; None takes the radio's own. At most
+    ``limit_packets`` and ``limit_bytes`` (None: no limit) wait in a station, the frame under way included.
+    """
+
+    phy: str
+    noise_dbm: float = DEFAULT_NOISE_DBM
+    rate_bps: float | None = None
+    cca_dbm: float | None = None
+    limit_packets: int | None = DEFAULT_LIMIT_PACKETS
+    limit_bytes: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Segment:
     """Ports that share a medium. A pair (sender, receiver) that is missing from ``pairs`` is out of range.
 
-    With ``wifi`` the ports are 802.11 interfaces and their frames go through :mod:`netlab.medium.wifi`.
+    With ``wifi`` the ports are 802.11 interfaces and their frames go through :mod:`netlab.medium.wifi`; with
+    ``channel`` they share airtime, and the pairs' impairments, without rate and limit, act on what has arrived.
     """
 
     name: str
@@ -68,3 +93,4 @@ class Segment:
     ports: tuple[int, ...]
     pairs: Mapping[tuple[int, int], Impairment]
     wifi: Wifi | None = None
+    channel: ChannelSpec | None = None

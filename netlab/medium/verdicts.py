@@ -17,6 +17,7 @@ class Verdict(IntEnum):
     CORRUPTED = 5  # delivered with a flipped bit
     DUPLICATED = 6  # the extra copy, delivered
     REORDERED = 7  # delivered at once, ahead of delayed frames
+    COLLISION = 8  # another transmission drowned it, or its receiver was transmitting
 
 
 #: arrived_ns (CLOCK_REALTIME), departs_ns (0 when dropped), crc32 of the frame as sent, length in bytes,

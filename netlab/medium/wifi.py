@@ -20,11 +20,9 @@ from dataclasses import dataclass
 from netlab.medium.chance import stable_seed
 from netlab.medium.impairments import Impairment
 from netlab.medium.pair import DROPPED, Outcome, Pair
-from netlab.medium.segments import Port, Segment
+from netlab.medium.segments import DEFAULT_RSSI_DBM, Port, Segment
 from netlab.medium.verdicts import Verdict
 
-#: How strongly a receiver hears a sender of which nothing is said.
-DEFAULT_RSSI_DBM = -50.0
 _RECEIVER_ADDRESS = slice(4, 10)  # address 1 of the 802.11 header
 _NOBODY_ANSWERS = (Verdict.OUTAGE, Verdict.OUT_OF_RANGE)
 
