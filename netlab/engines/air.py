@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from netlab.engines.air_messages import (
     AirStats,
@@ -13,6 +14,7 @@ from netlab.engines.air_messages import (
     Request,
     SetOutage,
     SetPairs,
+    SetRssi,
     Setup,
 )
 from netlab.engines.base import LabPlan, Pair, PairCounters
@@ -20,6 +22,10 @@ from netlab.engines.helper import HelperProcess
 from netlab.errors import LabError, MachineError
 from netlab.kernel.wiring import VethSpec, Wiring, build
 from netlab.medium.impairments import Impairment
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class AirEngine:
@@ -68,6 +74,14 @@ class AirEngine:
             LabError: The process is gone, or two ports share no segment (then nothing is changed).
         """
         self._ask(SetPairs(changes))
+
+    def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
+        """Say how strongly the ports of a segment with a shared channel hear each other: ``[sender, receiver]``, dBm.
+
+        Raises:
+            LabError: The process is gone, or the segment has no shared channel or another number of ports.
+        """
+        self._ask(SetRssi(segment, rssi_dbm.astype("f4").tobytes()))
 
     def set_outage(self, pairs: set[Pair], *, active: bool) -> None:
         """Lose everything on ``pairs`` silently, or end that; frames under way still arrive.

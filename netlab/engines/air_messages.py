@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from netlab.engines.base import LabPlan, Pair
 from netlab.medium.impairments import Impairment
 from netlab.medium.verdicts import Verdict
+
+if TYPE_CHECKING:
+    from netlab.medium.channel_records import ChannelStats
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +37,14 @@ class SetOutage:
 
 
 @dataclass(frozen=True, slots=True)
+class SetRssi:
+    """See ``Engine.set_rssi``. ``matrix``: float32 in the machine's order, row by row, a row for each sender."""
+
+    segment: str
+    matrix: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class RecordVerdicts:
     """Comes with one descriptor: a stream socket. Replaces an earlier one."""
 
@@ -47,7 +59,7 @@ class Close:
     """Answered, then the process ends."""
 
 
-Request = Setup | SetPairs | SetOutage | RecordVerdicts | AskStats | Close
+Request = Setup | SetPairs | SetOutage | SetRssi | RecordVerdicts | AskStats | Close
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +86,8 @@ class AirStats:
     not_sent: int  # refused by the kernel at the receiver's port: carrier pulled, longer than its MTU
     lost_verdicts: int  # records that the recorder did not take in time
     late_max_s: float  # the most that a departure was late
+    late_p99_s: float = 0.0  # 99 % of the departures were late by less
+    channels: dict[str, ChannelStats] = field(default_factory=dict)  # by segment
 
 
 Answer = Done | Failed | AirStats

@@ -2,7 +2,8 @@
 
 One thread, one loop: empty the ring, ask the medium, send what is due, answer the engine, sleep until the next
 departure or event. Delays count from the kernel's stamp of a frame's arrival, so that neither a late wake-up nor a
-burst makes them longer, as long as the process is awake when they end. ``select`` sleeps to the microsecond with the
+burst makes them longer, as long as the process is awake when they end; shared channels live by those stamps and their
+own events, and are told what time it is only when all frames that left before have been read. ``select`` sleeps to the microsecond with the
 timer slack at 1 ns; ``epoll`` would round up to a whole millisecond.
 
 Ends when the engine's channel closes, however the engine ended.
@@ -10,17 +11,24 @@ Ends when the engine's channel closes, however the engine ended.
 
 from __future__ import annotations
 
+import math
 import socket
 import sys
 import time
 from collections.abc import Callable
 from heapq import heappop, heappush
+from typing import TYPE_CHECKING
 
-from netlab.engines.air_messages import AirStats, Answer, AskStats, Done, Request, SetOutage, SetPairs, Setup
+from netlab.engines.air_messages import AirStats, Answer, AskStats, Done, Request, SetOutage, SetPairs, SetRssi, Setup
 from netlab.engines.air_ring import SLOTS_MAX, Ring
+from netlab.engines.lateness import Lateness
 from netlab.engines.medium_loop import MediumLoop, lab_channel
 from netlab.ipc import Channel
 from netlab.medium.medium import Medium
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _SOL_PACKET = 263
 _PACKET_QDISC_BYPASS = 20
@@ -47,16 +55,19 @@ class Air(MediumLoop):
         self._order = 0
         self._received = 0
         self._not_sent = 0
-        self._late_max_s = 0.0
+        self._late = Lateness()
 
     def run(self) -> None:
         """Carry frames until the channel closes."""
         while self._ring is None and self._open:
             self._answer()
         while self._open:
+            until = time.monotonic()
             busy = self._receive()
+            if not busy:
+                self._advance(until)
             self._depart()
-            self._wait(self._departures[0][0] if self._departures else None, busy=busy)
+            self._wait(self._next_s(), busy=busy)
         self._close_verdicts()
 
     # -- frames ---------------------------------------------------------------------------------------------------
@@ -78,7 +89,7 @@ class Air(MediumLoop):
             stamp_ns = sec * _NS_PER_S + nsec
             age_ns = min(max(real_ns - stamp_ns, 0), _OLDEST_STAMP_NS)
             arrived = now - age_ns / _NS_PER_S
-            outcomes = transmit(sender, frame, now=arrived)
+            outcomes = transmit(sender, frame, now=arrived, tag=stamp_ns)
             for due, port, received, _verdict in outcomes:
                 if due > now:
                     self._order += 1
@@ -92,20 +103,46 @@ class Air(MediumLoop):
                 self._verdicts.add(outcomes, frame, sender, arrived, stamp_ns)
         return len(arrivals) == _BURST
 
+    def _advance(self, until: float) -> None:
+        """Let shared channels work, and schedule what they deliver."""
+        for sent in self._medium.advance(now=until):
+            for due, port, received, _verdict in sent.outcomes:
+                if due >= 0:
+                    self._order += 1
+                    heappush(self._departures, (due, self._order, port, received))
+            if self._verdicts is not None:
+                self._verdicts.add(
+                    sent.outcomes,
+                    sent.frame,
+                    sent.sender,
+                    sent.offered_s,
+                    sent.tag,
+                    attempts=sent.attempts,
+                    rssi_dbm=self._medium.signals_dbm(sent),
+                )
+
+    def _next_s(self) -> float | None:
+        """When there is something to do if nothing arrives."""
+        next_s = self._medium.next_event()
+        if self._departures and (next_s is None or self._departures[0][0] < next_s):
+            return self._departures[0][0]
+        return next_s
+
     def _catch_up(self) -> None:
         """Frames that left their node before a change meet what was in force then, as they do in a kernel's queue."""
+        until = time.monotonic()
         for _ in range(_RING_BURSTS if self._ring is not None else 0):
             if not self._receive():
                 break
+        self._advance(until)
 
     def _depart(self) -> None:
         """Send what is due; what becomes due meanwhile waits for the next turn."""
-        departures, send = self._departures, self._send
+        departures, send, late = self._departures, self._send, self._late
         now = time.monotonic()
-        if departures and (late_s := now - departures[0][0]) > self._late_max_s:
-            self._late_max_s = late_s
         while departures and departures[0][0] <= now:
-            _due, _order, port, frame = heappop(departures)
+            due, _order, port, frame = heappop(departures)
+            late.add(now - due)
             try:
                 send[port](frame)
             except OSError:
@@ -119,8 +156,11 @@ class Air(MediumLoop):
         if isinstance(request, Setup):
             self._set_up(request)
             return Done()
-        if isinstance(request, SetPairs | SetOutage):
+        if isinstance(request, SetPairs | SetOutage | SetRssi):
             self._catch_up()
+        if isinstance(request, SetRssi):
+            self._medium.set_rssi(request.segment, _matrix(request.matrix))
+            return Done()
         answer: Answer = super()._obey(request, fds)
         return answer
 
@@ -143,8 +183,18 @@ class Air(MediumLoop):
             unaddressed=self._medium.unaddressed,
             not_sent=self._not_sent,
             lost_verdicts=self._lost_verdicts,
-            late_max_s=self._late_max_s,
+            late_max_s=self._late.max_s,
+            late_p99_s=self._late.quantile_s(0.99),
+            channels=self._medium.channel_stats,
         )
+
+
+def _matrix(values: bytes) -> NDArray[np.float64]:
+    import numpy as np  # for radios only
+
+    flat = np.frombuffer(values, dtype=np.float32).astype(np.float64)
+    count = math.isqrt(len(flat))
+    return flat.reshape(count, count)
 
 
 def _sender(ifindex: int) -> Callable[[bytes], int]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from netlab.medium.impairments import Impairment
 from netlab.medium.meshes import MeshInterface
 from netlab.medium.segments import Port, Segment
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,17 @@ class Engine(Protocol):
 
     def set_pairs(self, changes: dict[Pair, Impairment | None]) -> None:
         """Change pairs at once; None takes a pair out of range."""
+
+    def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
+        """Say how strongly the ports of a segment with a shared channel hear each other.
+
+        Args:
+            segment: Its name.
+            rssi_dbm: (ports, ports), ``[sender, receiver]`` in the order of ``Segment.ports``; -inf for nothing.
+
+        Raises:
+            LabError: The engine or the segment has no shared channel.
+        """
 
     def set_outage(self, pairs: set[Pair], *, active: bool) -> None:
         """Lose everything on ``pairs`` silently, carrier stays up; or end that. Frames under way still arrive."""

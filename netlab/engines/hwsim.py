@@ -128,6 +128,14 @@ class HwsimEngine:
         if radio:
             self._running().ask(SetOutage(frozenset(radio), active))
 
+    def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
+        """Refuse: the driver's radios share no airtime here; ``rssi`` is a word of their pairs.
+
+        Raises:
+            LabError: Always.
+        """
+        raise LabError(f"{segment}: radios of driver: hwsim share no airtime; remove the driver")
+
     def set_carrier(self, ports: set[int], *, up: bool) -> None:
         """Pull or plug cables.
 

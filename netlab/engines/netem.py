@@ -111,6 +111,14 @@ class NetemEngine:
         self._change({pair: netem_plan.effective(self._impairments[pair], outage=active) for pair in pairs})
         self._outages = self._outages | pairs if active else self._outages - pairs
 
+    def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
+        """Refuse: no qdisc shares airtime among interfaces.
+
+        Raises:
+            LabError: Always.
+        """
+        raise LabError(f"{segment}: shared airtime needs the air engine; use engine: air")
+
     def set_carrier(self, ports: set[int], *, up: bool) -> None:
         """Pull or plug the cable at these ports; what waits in a pulled port's queue is lost.
 

@@ -21,15 +21,16 @@ import heapq
 import math
 import random
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from netlab.medium.chance import stable_seed
 from netlab.medium.channel_contention import Contention
 from netlab.medium.channel_receptions import Receptions, Signal
-from netlab.medium.channel_records import ChannelStats, Decided, Exchange, Fate, Queued, RateControl
+from netlab.medium.channel_records import ChannelStats, Decided, Exchange, Fate, Queued
 from netlab.medium.phy import ACK_BYTES, Phy, Rate, airtime_s
+from netlab.medium.rate_control import FixedRate, RateControl
 from netlab.medium.segments import Port
 from netlab.medium.verdicts import Verdict
 
@@ -52,7 +53,7 @@ class Channel:
         seed: int,
         limit_packets: int | None = None,
         limit_bytes: int | None = None,
-        rate_control: Callable[[], RateControl],
+        rate_control: RateControl,
     ) -> None:
         """Nobody hears anybody until :meth:`set_rssi`.
 
@@ -63,7 +64,7 @@ class Channel:
             seed: The lab's.
             limit_packets: Most frames in a station, the one under way included; None is no limit.
             limit_bytes: The same in bytes.
-            rate_control: Makes one for each pair that talks.
+            rate_control: Of unicast frames; stations are places in ``ports``.
         """
         names = [f"{port.node} {port.ifname}" for port in ports]
         self._ports = [port.index for port in ports]
@@ -77,9 +78,9 @@ class Channel:
         self._queues: list[deque[Queued]] = [deque() for _ in ports]
         self._queued_bytes = [0] * len(ports)
         self._hearers: list[tuple[int, ...]] = [(place,) for place in range(len(ports))]
-        self._rate_control = rate_control
-        self._rates: dict[tuple[int, int], RateControl] = {}
-        self._airtimes_s: dict[tuple[int, int], float] = {}
+        self._rates = rate_control
+        self._wants_to_hear = not isinstance(rate_control, FixedRate)
+        self._airtimes_s: dict[tuple[Rate, int], float] = {}
         self._on_air: list[Signal] = []
         self._ends: list[tuple[float, int, bool, Exchange]] = []  # heap; True: of the whole exchange
         self._order = 0
@@ -186,7 +187,9 @@ class Channel:
     def _start(self, station: int, *, now: float) -> None:
         queued = self._queues[station][0]
         queued.attempts += 1
-        rate = self._phy.group_rate if queued.receiver is None else self._rate(station, queued.receiver)
+        rate = self._phy.group_rate
+        if queued.receiver is not None:
+            rate = self._rates.rate(station, queued.receiver, queued.attempts)
         duration_s = self._airtime_s(rate, queued.size_bytes)
         signal = Signal(station, now, now + duration_s, rate, queued.size_bytes)
         self._radiate(signal)
@@ -201,15 +204,20 @@ class Channel:
         queued, signal = exchange.queued, exchange.signal
         self._on_air.remove(signal)
         if queued.receiver is None:
+            heard = self._receptions.group(signal)
+            if self._wants_to_hear:
+                for place, verdict in heard:
+                    if verdict is _DELIVERED:
+                        self._hear(place, signal.sender)
             ports = self._ports
-            fates = [(ports[place], verdict) for place, verdict in self._receptions.group(signal)]
-            self._decide(queued, signal.rate, fates, now=now)
+            self._decide(queued, signal.rate, [(ports[place], verdict) for place, verdict in heard], now=now)
             self._contention.release(exchange.hearers, now=now)
             self._next(queued, now=now)
             return
         answer_s = self._airtime_s(self._phy.ack_rate(signal.rate), ACK_BYTES)
         exchange.verdict = self._receptions.one(signal, queued.receiver)
         if exchange.verdict is _DELIVERED:
+            self._hear(queued.receiver, queued.sender)
             if not queued.delivered:
                 queued.delivered = True
                 self._decide(queued, signal.rate, [(self._ports[queued.receiver], _DELIVERED)], now=now)
@@ -232,11 +240,13 @@ class Channel:
         if ack is not None:
             self._on_air.remove(ack)
             acked = self._receptions.one(ack, queued.sender) is _DELIVERED
+            if acked:
+                self._hear(queued.sender, ack.sender)
             if exchange.late_hearers:
                 self._contention.release(exchange.late_hearers, now=now)
         self._contention.release(exchange.hearers, now=now)
         assert queued.receiver is not None
-        self._rates[queued.sender, queued.receiver].report(exchange.signal.rate, acked=acked)
+        self._rates.attempted(queued.sender, queued.receiver, queued.attempts, acked=acked)
         if acked:
             self._stats.acknowledged += 1
         elif queued.attempts < self._phy.retry_limit:
@@ -258,6 +268,10 @@ class Channel:
 
     # -- parts ----------------------------------------------------------------------------------------------------
 
+    def _hear(self, station: int, peer: int) -> None:
+        if self._wants_to_hear:
+            self._rates.heard(station, peer, self._receptions.snr_db(peer, station))
+
     def _radiate(self, signal: Signal) -> None:
         if self._on_air:
             signal.meet(self._on_air)
@@ -274,14 +288,8 @@ class Channel:
         self._order += 1
         heapq.heappush(self._ends, (at_s, self._order, is_over, exchange))
 
-    def _rate(self, sender: int, receiver: int) -> Rate:
-        control = self._rates.get((sender, receiver))
-        if control is None:
-            control = self._rates[sender, receiver] = self._rate_control()
-        return control.rate(self._receptions.snr_db(sender, receiver))
-
     def _airtime_s(self, rate: Rate, size_bytes: int) -> float:
-        key = (id(rate), size_bytes)
+        key = (rate, size_bytes)
         duration_s = self._airtimes_s.get(key)
         if duration_s is None:
             duration_s = self._airtimes_s[key] = airtime_s(rate, size_bytes)

@@ -83,7 +83,7 @@ class Receptions:
         self._audience: list[list[int]] = [[] for _ in names]
         self._cut: set[tuple[int, int]] = set()
         self._draws: dict[tuple[int, int], Callable[[], float]] = {}
-        self._chances: dict[tuple[int, int, int], float] = {}
+        self._chances: dict[tuple[Rate, int, int], float] = {}
         self._groups: dict[tuple[int, int], Chances] = {}
 
     def set_rssi(self, rssi_dbm: list[list[float]]) -> None:
@@ -173,8 +173,7 @@ class Receptions:
         if snr_db == -math.inf:
             return 0.0
         step = round(snr_db * _STEPS_PER_DB)
-        # Rates of the two lists of a radio may share an index; their sizes of symbols tell them apart.
-        key = (id(signal.rate), step, signal.size_bytes)
+        key = (signal.rate, step, signal.size_bytes)
         chance = self._chances.get(key)
         if chance is None:
             if len(self._chances) >= _CHANCES_LIMIT:

@@ -3,21 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from netlab.medium.channel_receptions import Signal
 from netlab.medium.phy import Rate
 from netlab.medium.verdicts import Verdict
-
-
-class RateControl(Protocol):
-    """Chooses the rate of the unicast frames between two stations."""
-
-    def rate(self, snr_db: float) -> Rate:
-        """The rate of the next attempt; ``snr_db`` is what the receiver has of the sender now."""
-
-    def report(self, rate: Rate, *, acked: bool) -> None:
-        """Take an attempt's outcome."""
 
 
 @dataclass(slots=True, eq=False)
@@ -76,17 +65,3 @@ class Exchange:
     verdict: Verdict = Verdict.LOST
     ack: Signal | None = None
     late_hearers: tuple[int, ...] = ()
-
-
-class FixedRate:
-    """No control: always the same rate."""
-
-    def __init__(self, rate: Rate) -> None:
-        self._rate = rate
-
-    def rate(self, snr_db: float) -> Rate:
-        """That rate."""
-        return self._rate
-
-    def report(self, rate: Rate, *, acked: bool) -> None:
-        """Nothing changes."""

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from netlab.medium.channel import Channel
-from netlab.medium.channel_records import ChannelStats, FixedRate, RateControl
+from netlab.medium.channel_records import ChannelStats
 from netlab.medium.impairments import Impairment
 from netlab.medium.pair import DROPPED, Outcome, Pair
 from netlab.medium.phy import PHYS, Phy
+from netlab.medium.rate_control import AdaptiveRate, FixedRate, RateControl
 from netlab.medium.segments import DEFAULT_RSSI_DBM, ChannelSpec, Port, Segment
 from netlab.medium.verdicts import Verdict
 
@@ -150,11 +151,8 @@ def _channel(spec: ChannelSpec, ports: Sequence[Port], seed: int) -> Channel:
     )
 
 
-def _rate_control(spec: ChannelSpec, phy: Phy) -> Callable[[], RateControl]:
-    if spec.rate_bps is None:
-        raise ValueError("rate control is not available yet")
-    fixed = FixedRate(phy.rate(spec.rate_bps))
-    return lambda: fixed
+def _rate_control(spec: ChannelSpec, phy: Phy) -> RateControl:
+    return AdaptiveRate(phy) if spec.rate_bps is None else FixedRate(phy.rate(spec.rate_bps))
 
 
 def _whole_dbm(power_dbm: float) -> int:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from netlab.medium.channel_records import ChannelStats
     from netlab.medium.channel_segment import Sent, SharedChannel
 
 _LEARNED_LIMIT = 4096  # addresses per radio segment beyond the ports' own
@@ -87,6 +88,11 @@ class Medium:
     def unaddressed(self) -> int:
         """Unicast frames on a radio whose destination no port owns and no monitor heard."""
         return self._unaddressed
+
+    @property
+    def channel_stats(self) -> dict[str, ChannelStats]:
+        """Counters of every shared channel by its segment's name."""
+        return {name: channel.stats for name, channel in self._channels.items()}
 
     def transmit(self, sender: int, frame: bytes, *, now: float, tag: int = 0) -> list[Outcome]:
         """Decide on ``frame`` (from its destination address on, at least 14 bytes) sent at ``now``.
@@ -212,7 +218,8 @@ class Medium:
         for (sender, receiver), impairment in sorted(segment.pairs.items(), key=lambda item: item[0]):
             self._heard(sender, receiver).configure(impairment)
         if segment.channel is not None:
-            from netlab.medium.channel_segment import SharedChannel  # tables that a lab of wires does without
+            from netlab.medium.channel_records import ChannelStats
+    from netlab.medium.channel_segment import SharedChannel  # tables that a lab of wires does without
 
             channel = self._channels[segment.name] = SharedChannel(segment, members, self._seed, self._pair)
             for port in members:

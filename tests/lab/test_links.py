@@ -33,6 +33,9 @@ class RecordingEngine:
     def set_outage(self, pairs: set[Pair], *, active: bool) -> None:
         self.calls.append(("outage", pairs, active))
 
+    def set_rssi(self, segment: str, rssi_dbm: Any) -> None:
+        self.calls.append(("rssi", segment, rssi_dbm))
+
     def set_carrier(self, ports: set[int], *, up: bool) -> None:
         self.calls.append(("carrier", ports, up))
 
