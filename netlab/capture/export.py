@@ -25,6 +25,7 @@ _REASONS = {
     Verdict.CORRUPTED: "corrupted on the way",
     Verdict.DUPLICATED: "duplicated on the way",
     Verdict.REORDERED: "delivered ahead of others",
+    Verdict.COLLISION: "lost: drowned by another transmission",
 }
 
 

@@ -2,9 +2,9 @@
 
 One thread, one loop: empty the ring, ask the medium, send what is due, answer the engine, sleep until the next
 departure or event. Delays count from the kernel's stamp of a frame's arrival, so that neither a late wake-up nor a
-burst makes them longer, as long as the process is awake when they end; shared channels live by those stamps and their
-own events, and are told what time it is only when all frames that left before have been read. ``select`` sleeps to the microsecond with the
-timer slack at 1 ns; ``epoll`` would round up to a whole millisecond.
+burst makes them longer, as long as the process is awake when they end. Shared channels live by those stamps and by
+their own events; they are told what time it is when all frames that left before have been read. ``select`` sleeps to
+the microsecond with the timer slack at 1 ns; ``epoll`` would round up to a whole millisecond.
 
 Ends when the engine's channel closes, however the engine ended.
 """

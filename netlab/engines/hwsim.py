@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from netlab.engines import hwsim_setup
 from netlab.engines.air_messages import AskStats, RecordVerdicts, SetOutage, SetPairs
@@ -20,6 +21,10 @@ from netlab.engines.hwsim_messages import HwsimStats, MakeRadios
 from netlab.errors import LabError, MachineError
 from netlab.kernel import hwsim
 from netlab.medium.impairments import Impairment
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _WAY_OUT = (
     "run it in a kernel that has it: add --in vm (`netlab vm build` once), "

@@ -10,13 +10,14 @@ import contextlib
 import logging
 import time
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from netlab.engines import netem_plan
 from netlab.engines.base import LabPlan, Pair, PairCounters
 from netlab.engines.netem_counters import Counters
 from netlab.engines.netem_plan import Device, Entry, Exit, Far
 from netlab.engines.netem_qdiscs import INSTEAD, Qdiscs, refusal
-from netlab.errors import MachineError
+from netlab.errors import LabError, MachineError
 from netlab.kernel import pairs as pair_veths
 from netlab.kernel import tc
 from netlab.kernel.links import delete_group
@@ -25,6 +26,10 @@ from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.kernel.probe import TcFeatures, tc_features
 from netlab.kernel.wiring import VethSpec, Wiring, build
 from netlab.medium.impairments import Impairment
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _log = logging.getLogger(__name__)
 

@@ -8,13 +8,13 @@ addresses are locally administered and follow port indices, those of mesh interf
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 from netlab.engines.base import LabPlan, Pair
 from netlab.medium.impairments import Impairment
 from netlab.medium.meshes import MEMBER_MTU_BYTES, MeshInterface
-from netlab.medium.segments import Port, Segment, SegmentKind, Wifi, WifiMode
+from netlab.medium.segments import ChannelSpec, Port, Segment, SegmentKind, Wifi, WifiMode
 from netlab.scenario.links import Wire
 from netlab.scenario.model import Scenario
 from netlab.scenario.radio import Radio
@@ -42,7 +42,16 @@ def compile_plan(scenario: Scenario) -> LabPlan:
     if radio_ports:
         pairs = _radio_pairs(scenario, radio_ports, impairments)
         members = tuple(radio_ports.values())
-        segments.append(Segment(RADIO_SEGMENT, SegmentKind.RADIO, members, pairs, _wifi(scenario.radio)))
+        segments.append(
+            Segment(
+                RADIO_SEGMENT,
+                SegmentKind.RADIO,
+                members,
+                pairs,
+                wifi=_wifi(scenario.radio),
+                channel=_channel(scenario.radio),
+            )
+        )
     meshes = tuple(_meshes(scenario, ports))
     return LabPlan(scenario.name, scenario.seed, tuple(scenario.nodes), tuple(ports), tuple(segments), meshes)
 
@@ -148,6 +157,17 @@ def _wifi(radio: Radio | None) -> Wifi | None:
     if radio is None or radio.driver != "hwsim":
         return None
     return Wifi(WifiMode(radio.mode), radio.network, radio.frequency_mhz, radio.retry_limit, radio.monitor)
+
+
+def _channel(radio: Radio | None) -> ChannelSpec | None:
+    if radio is None or radio.phy is None:
+        return None
+    spec = ChannelSpec(radio.phy, rate_bps=radio.rate_bps)
+    if radio.noise_dbm is not None:
+        spec = replace(spec, noise_dbm=radio.noise_dbm)
+    if radio.limit is not None:
+        spec = replace(spec, limit_packets=radio.limit.packets, limit_bytes=radio.limit.size_bytes)
+    return spec
 
 
 def _mac(index: int) -> bytes:

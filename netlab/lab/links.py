@@ -15,8 +15,8 @@ from pydantic import ValidationError
 
 from netlab.engines.base import Engine, LabPlan, Pair
 from netlab.errors import LabError
-from netlab.medium.impairments import Impairment
-from netlab.medium.segments import SegmentKind
+from netlab.medium.impairments import PERFECT, Impairment
+from netlab.medium.segments import Segment, SegmentKind
 from netlab.scenario.events import LinkChange
 
 _T = TypeVar("_T")
@@ -43,11 +43,11 @@ class Links:
         """Change pairs.
 
         Raises:
-            LabError: A signal strength for what is no 802.11 radio; nothing is changed then.
+            LabError: A word that the pair cannot obey; nothing is changed then.
         """
         for pair, impairment in changes.items():
-            if impairment is not None and impairment.rssi_dbm is not None and self._segment_of[pair].wifi is None:
-                raise LabError("rssi belongs to 802.11 radios (radio: driver: hwsim); remove it")
+            if impairment is not None and (problem := _misplaced(impairment, self._segment_of[pair])):
+                raise LabError(problem)
         self._engine.set_pairs(changes)
         self._impairments.update(changes)
 
@@ -139,6 +139,16 @@ def _holding(
 
 def _held(holders: dict[str, set[_T]]) -> set[_T]:
     return set().union(*holders.values())
+
+
+def _misplaced(impairment: Impairment, segment: Segment) -> str | None:
+    """Which word a segment's pairs do not have, and what to do."""
+    if impairment.rssi_dbm is not None and segment.wifi is None and segment.channel is None:
+        return "rssi belongs to 802.11 radios (radio: phy, or driver: hwsim); remove it"
+    limits = (impairment.rate_bps, impairment.limit_packets, impairment.limit_bytes)
+    if segment.channel is not None and limits != (None, PERFECT.limit_packets, None):
+        return "rate and limit of a pair have no meaning where radios share a channel; remove them"
+    return None
 
 
 def _all_pairs(ports: tuple[int, ...]) -> list[Pair]:

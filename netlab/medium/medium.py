@@ -218,8 +218,7 @@ class Medium:
         for (sender, receiver), impairment in sorted(segment.pairs.items(), key=lambda item: item[0]):
             self._heard(sender, receiver).configure(impairment)
         if segment.channel is not None:
-            from netlab.medium.channel_records import ChannelStats
-    from netlab.medium.channel_segment import SharedChannel  # tables that a lab of wires does without
+            from netlab.medium.channel_segment import SharedChannel  # tables that a lab of wires does without
 
             channel = self._channels[segment.name] = SharedChannel(segment, members, self._seed, self._pair)
             for port in members:

@@ -1,8 +1,9 @@
-"""Cross-reference check of the words that 802.11 radios lack, and of those that they alone have."""
+"""Cross-reference check of the words that some radios lack, and of those that they alone have."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import Enum
 
 from netlab.scenario.document import Path
 from netlab.scenario.model import Scenario
@@ -12,34 +13,55 @@ from netlab.scenario.words import Words
 #: 802.11 has no such thing between two radios: a damaged frame fails its checksum and is lost, a second copy is
 #: dropped, frames of one sender stay in order.
 WORDS_NOT_FOR_WIFI = ("duplicate", "reorder", "corrupt")
-_RSSI_BELONGS = "rssi belongs to 802.11 radios (radio: driver: hwsim); remove it"
+#: Words of a pair that are a station's own where all share one channel.
+WORDS_NOT_FOR_CHANNEL = {"rate_bps": "rate", "limit": "limit"}
+_RSSI_BELONGS = "rssi belongs to 802.11 radios (radio: phy, or driver: hwsim); remove it"
 
 
 def check_radio(scenario: Scenario) -> Iterator[Problem]:
     """Yield every word that what it speaks of cannot obey."""
-    wifi = scenario.radio is not None and scenario.radio.driver == "hwsim"
+    kind = _kind(scenario)
+    if kind is _Kind.CHANNEL and scenario.engine == "netem":
+        yield ("engine",), "radios with a phy share airtime, which no qdisc can express; use air, or auto"
     for index, link in enumerate(scenario.links):
-        yield from _complaints(link, ("links", index), wifi=False)
+        yield from _complaints(link, ("links", index), _Kind.PLAIN)
     if scenario.radio is not None:
         propagation = scenario.radio.propagation
-        if wifi:  # else the radio's own validator has spoken of its rssi
-            yield from _complaints(scenario.radio, ("radio",), wifi=True)
+        if kind is _Kind.WIFI:  # else the radio's own validator has spoken of its rssi
+            yield from _complaints(scenario.radio, ("radio",), kind)
         for index, pair in enumerate(propagation.pairs):
-            yield from _complaints(pair, ("radio", "propagation", "pairs", index), wifi=wifi)
+            yield from _complaints(pair, ("radio", "propagation", "pairs", index), kind)
         if propagation.default is not None:
-            yield from _complaints(propagation.default, ("radio", "propagation", "default"), wifi=wifi)
+            yield from _complaints(propagation.default, ("radio", "propagation", "default"), kind)
     for index, event in enumerate(scenario.events):
         change = event.link
         if change is not None and all(name in scenario.nodes for name in change.ends):
             over = change.over or next(iter(scenario.joined(*change.ends)), None)
-            yield from _complaints(change, ("events", index, "link"), wifi=wifi and over == "radio")
+            yield from _complaints(change, ("events", index, "link"), kind if over == "radio" else _Kind.PLAIN)
 
 
-def _complaints(words: Words, path: Path, *, wifi: bool) -> Iterator[Problem]:
+class _Kind(Enum):
+    PLAIN = "a wire, or a radio without airtime"
+    CHANNEL = "a radio with a phy"
+    WIFI = "a real 802.11 interface"
+
+
+def _kind(scenario: Scenario) -> _Kind:
+    radio = scenario.radio
+    if radio is None or radio.driver == "hwsim":
+        return _Kind.PLAIN if radio is None else _Kind.WIFI
+    return _Kind.PLAIN if radio.phy is None else _Kind.CHANNEL
+
+
+def _complaints(words: Words, path: Path, kind: _Kind) -> Iterator[Problem]:
     given = words.given()
-    if wifi:
+    if kind is _Kind.WIFI:
         for word in WORDS_NOT_FOR_WIFI:
             if word in given:
                 yield (*path, word), f"{word} has no meaning between 802.11 radios (driver: hwsim); use loss or jitter"
+    elif kind is _Kind.CHANNEL:
+        for name, word in WORDS_NOT_FOR_CHANNEL.items():
+            if name in given:
+                yield (*path, word), f"{word} of a pair has no meaning where radios share a channel; set it in radio"
     elif "rssi_dbm" in given:
         yield (*path, "rssi"), _RSSI_BELONGS

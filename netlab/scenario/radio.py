@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema
 
-from netlab.scenario.base import NotYet, Problems, StrictModel, Switch, not_yet
+from netlab.scenario.base import NotYet, Problems, StrictModel, Switch, not_yet, suggestion
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import FREQUENCY, describe
+from netlab.scenario.quantities import FREQUENCY, POWER, Quantity, describe
 from netlab.scenario.words import Words, read_file
 
 TRACE_COLUMNS = ("at_s", "from", "to", "loss_percent", "delay_ms", "rate_mbit")
@@ -180,6 +180,26 @@ def _network_name(value: object) -> str:
     return value
 
 
+#: The radios of netlab.medium.phy, whose tables a scenario without phy does without.
+PHY_NAMES = ("802.11g-20MHz", "802.11n-20MHz-1x1", "802.11n-20MHz-2x2", "subt")
+
+
+def _phy(value: object) -> str:
+    if value not in PHY_NAMES:
+        raise ValueError(f"unknown phy {describe(value)}; {suggestion(str(value), PHY_NAMES, 'known are')}")
+    return str(value)
+
+
+def _wrong_rate(phy: str, rate_bps: float) -> str | None:
+    from netlab.medium.phy import PHYS
+
+    try:
+        PHYS[phy].rate(rate_bps)
+    except ValueError as error:
+        return f"rate: {error}"
+    return None
+
+
 NetworkName = Annotated[str, BeforeValidator(_network_name), WithJsonSchema({"type": "string", "maxLength": 32})]
 
 
@@ -187,7 +207,8 @@ class Radio(Words):
     """The defaults of every radio. The words here hold for every pair that is in range.
 
     ``driver`` `engine`: an Ethernet interface whose frames the engine carries; `hwsim`: a real 802.11 interface of the
-    kernel's mac80211_hwsim, to which alone the keys from ``mode`` to ``monitor`` belong.
+    kernel's mac80211_hwsim, to which alone the keys from ``mode`` to ``monitor`` belong. With ``phy`` all radios share
+    one channel: ``rate`` is then that of unicast frames (None: by rate control), ``limit`` a station's queue.
     """
 
     propagation: Propagation
@@ -200,9 +221,11 @@ class Radio(Words):
     ] = HWSIM_CHANNELS_MHZ[0]
     retry_limit: Annotated[int, Field(ge=1, le=64)] = 7
     monitor: Switch = False
-    phy: NotYet = None
+    phy: Annotated[str, BeforeValidator(_phy), WithJsonSchema({"enum": list(PHY_NAMES)})] | None = None
+    noise_dbm: Annotated[float, Quantity(POWER, minimum=-120.0, maximum=-30.0)] | None = Field(
+        default=None, alias="noise"
+    )
     tx_power: NotYet = None
-    noise: NotYet = None
     antenna_gain: NotYet = None
 
     @property
@@ -210,16 +233,35 @@ class Radio(Words):
         """The identifier of the 802.11 network that all radios form."""
         return self.mesh_id or self.ssid or "netlab"
 
+    @property
+    def pair_words(self) -> Words:
+        """The words that hold for every pair; on a shared channel, rate and queue are the stations' own."""
+        words = Words().laid_over(self)
+        return words if self.phy is None else words.model_copy(update={"rate_bps": None, "limit": None})
+
     @model_validator(mode="after")
     def _consistent_words(self) -> Self:
-        if complaint := self.inconsistency() or self._misplaced():
+        if complaint := self.inconsistency() or self._misplaced() or self._misplaced_on_channel():
             raise ValueError(complaint)
         return self
+
+    def _misplaced_on_channel(self) -> str | None:
+        if self.phy is None:
+            return "noise belongs to radios with a phy; add phy or remove it" if self.noise_dbm is not None else None
+        if self.driver == "hwsim":
+            return "phy has no meaning with driver: hwsim, whose radios share no airtime; remove one of them"
+        if self.propagation.file is not None and any(row.rate_bps is not None for row in self.propagation.file.rows):
+            return (
+                f"{self.propagation.file.name} has rates, and with phy the radio's rate is everyone's; empty rate_mbit"
+            )
+        if self.rate_bps is not None:
+            return _wrong_rate(self.phy, self.rate_bps)
+        return None
 
     def _misplaced(self) -> str | None:
         if self.driver == "engine":
             given = {type(self).model_fields[name].alias or name for name in self.model_fields_set}
-            misplaced = [key for key in _HWSIM_KEYS if key in given]
+            misplaced = [key for key in _HWSIM_KEYS if key in given and not (key == "rssi" and self.phy is not None)]
             if "frequency" in misplaced:
                 return "frequency is not available yet without driver: hwsim; remove it"
             return f"{misplaced[0]} belongs to 802.11 radios; add driver: hwsim or remove it" if misplaced else None

@@ -19,12 +19,12 @@ class RadioWords:
         assert radio is not None
         #: Words of the pairs that nothing is said about; None means out of range.
         self.default = _default_words(radio)
-        self._base = Words().laid_over(radio)
+        self._base = radio.pair_words
         self._words: dict[Hop, Words] = {}
         self._out_of_range: set[Hop] = set()
         for pair in radio.propagation.pairs:
             for hop in pair.directions:
-                self._words[hop] = pair.laid_over(radio)
+                self._words[hop] = pair.laid_over(self._base)
         self.later_rows: tuple[TraceRow, ...] = ()
         if radio.propagation.file is not None:
             rows = radio.propagation.file.rows
@@ -79,9 +79,9 @@ class WireWords:
 
 def _default_words(radio: Radio) -> Words | None:
     if radio.propagation.model == "none":
-        return Words().laid_over(radio)
+        return radio.pair_words
     default = radio.propagation.default
-    return None if default is None else default.laid_over(radio)
+    return None if default is None else default.laid_over(radio.pair_words)
 
 
 def _row_words(row: TraceRow) -> Words:

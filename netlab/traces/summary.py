@@ -8,7 +8,7 @@ from netlab.traces.reconnects import reconnects
 from netlab.traces.reroutes import reroutes
 from netlab.traces.streams import StreamReport, stream_reports
 
-_DROPPED = (Verdict.LOST, Verdict.QUEUE_FULL, Verdict.OUTAGE, Verdict.OUT_OF_RANGE)
+_DROPPED = (Verdict.LOST, Verdict.QUEUE_FULL, Verdict.OUTAGE, Verdict.OUT_OF_RANGE, Verdict.COLLISION)
 _NOT_TOLD_APART = (Verdict.LOST, Verdict.QUEUE_FULL)
 
 

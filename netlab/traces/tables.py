@@ -94,7 +94,7 @@ def _reroutes(trace: Trace) -> list[str]:
 
 
 def _links(trace: Trace) -> list[str]:
-    rows = [["from", "to", "frames", "lost", "queue full", "outage", "out of range", "other"]]
+    rows = [["from", "to", "frames", "lost", "queue full", "outage", "out of range", "collision", "other"]]
     for (sender, receiver), counts in sorted(trace.links.items())[:_MOST_LINKS]:
         count = counts.verdicts.get
         other = count(Verdict.CORRUPTED, 0) + count(Verdict.DUPLICATED, 0) + count(Verdict.REORDERED, 0)
@@ -102,7 +102,8 @@ def _links(trace: Trace) -> list[str]:
         if counts.lost_or_queue_full:  # not told apart
             lost = [f"<= {counts.lost_or_queue_full}"] * 2
         frames = counts.frames - count(Verdict.DUPLICATED, 0)
-        numbers = [frames, *lost, count(Verdict.OUTAGE, 0), count(Verdict.OUT_OF_RANGE, 0), other]
+        numbers = [frames, *lost, count(Verdict.OUTAGE, 0), count(Verdict.OUT_OF_RANGE, 0)]
+        numbers += [count(Verdict.COLLISION, 0), other]
         rows.append(["/".join(sender), "/".join(receiver), *map(str, numbers)])
     lines = columns(rows, left=2) if len(rows) > 1 else []
     hidden = len(trace.links) - _MOST_LINKS

@@ -197,8 +197,7 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
                 "terrain": {"tunnels": []},
                 "wnet": {},
                 "radio": {
-                    "phy": "802.11n",
-                    "noise": "-91dBm",
+                    "tx_power": "20dBm",
                     "propagation": {"model": "subt"},
                 },
                 "nodes": {"a": {"waypoints": [[0, 0]], "speed": "1m/s", "carried_by": "b", "mesh": "wnet"}, "b": {}},
