@@ -13,6 +13,8 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from netlab.clock import clock_here
 from netlab.engines.air import AirEngine
 from netlab.engines.base import LabPlan
@@ -20,7 +22,7 @@ from netlab.errors import LabError
 from netlab.kernel.namespaces import returning
 from netlab.kernel.wiring import enter
 from netlab.medium.impairments import PERFECT, Impairment, RandomLoss
-from netlab.medium.segments import Port, Segment, SegmentKind
+from netlab.medium.segments import ChannelSpec, Port, Segment, SegmentKind
 from netlab.medium.verdicts import VERDICT_RECORD, Verdict
 
 ETHERTYPE = 0x88B5  # IEEE 802 local experimental
@@ -268,6 +270,40 @@ def refuses_strange_pairs() -> None:
     assert rig.socks[1].recv(2048) == sent
 
 
+def shared_channel() -> None:
+    """Frames of two nodes take their turn, and their records say how they fared."""
+    lab = plan(SegmentKind.RADIO, 3)
+    spec = ChannelSpec("802.11g-20MHz", rate_bps=6e6)
+    rig = Rig(replace(lab, segments=(replace(lab.segments[0], channel=spec),)))
+    ours, theirs = socket.socketpair()
+    rig.engine.record_verdicts(theirs.fileno())
+    theirs.close()
+    rig.engine.set_rssi("s", np.full((3, 3), -70.0))
+    start, count = time.monotonic(), 40
+    for number in range(count):
+        for sender in (0, 1):
+            rig.send(sender, 2, bytes([number]) * 1400)
+    for _ in range(2 * count):
+        rig.socks[2].recv(2048)
+    assert time.monotonic() - start > 2 * count * 8 * 1400 / 6e6  # what 6 Mbit/s carry in less
+    stats = rig.engine.stats()
+    assert stats.channels["s"].acknowledged >= 2 * count
+    assert stats.late_p99_s <= stats.late_max_s
+    rig.engine.set_rssi("s", np.full((3, 3), -np.inf))
+    rig.send(0, 2, b"too far")
+    ours.settimeout(PATIENCE_S)
+    data, far = b"", []
+    while not far:
+        data += ours.recv(4096)
+        whole = data[: len(data) // VERDICT_RECORD.size * VERDICT_RECORD.size]
+        far = [r for r in VERDICT_RECORD.iter_unpack(whole) if r[6] == Verdict.OUT_OF_RANGE and r[5] == 2]
+    records = [r for r in VERDICT_RECORD.iter_unpack(whole) if r[3] > 1400]
+    assert all(departs > arrived for arrived, departs, *_ in records)
+    assert {r[8] for r in records} == {-70}
+    assert min(r[7] for r in records) == 1
+    assert (far[0][1], far[0][7]) == (0, 7)
+
+
 CASES: dict[str, Callable[[], None]] = {
     case.__name__: case
     for case in (
@@ -278,6 +314,7 @@ CASES: dict[str, Callable[[], None]] = {
         out_of_range,
         carrier,
         verdicts,
+        shared_channel,
         vlan_tag,
         ends_with_channel,
         reports_a_dead_process,

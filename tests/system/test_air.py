@@ -22,6 +22,7 @@ RIG = Path(__file__).with_name("air_rig.py")
         "out_of_range",
         "carrier",
         "verdicts",
+        "shared_channel",
         "vlan_tag",
         "ends_with_channel",
         "reports_a_dead_process",
