@@ -19,7 +19,7 @@ from channels import (
     verdicts,
     without_retries,
 )
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from netlab.medium.phy import PHYS, airtime_s, threshold_db
@@ -251,6 +251,7 @@ def test_radios_with_other_numbers_carry_frames_as_well() -> None:
         assert group.at_s >= airtime_s(phy.group_rate, phy.psdu_bytes(500))
 
 
+@settings(deadline=None)
 @given(
     seed=st.integers(0, 1000),
     offers=st.lists(
