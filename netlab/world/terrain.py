@@ -14,14 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from netlab.world.geometry import Flags, Floats, Geometry, Indexes
+from netlab.world.motion import OffTunnel, Point
 from netlab.world.places import CentreLines, Places
 from netlab.world.routes import Routes, choose_routes
-from netlab.world.tunnels import JOINT_M, Point, Tunnel, join_tunnels
+from netlab.world.tunnels import JOINT_M, Tunnel, join_tunnels
 from netlab.world.ways import Ways
-
-
-class OffTunnel(ValueError):
-    """A position in the rock, or two that no tunnel joins; the text is for a person, without a name in front."""
 
 
 class TunnelMap:

@@ -10,9 +10,7 @@ from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
 
-from netlab.world.tunnels import Point
-
-NEVER_S = math.inf
+from netlab.world.motion import Point
 
 
 @dataclass(frozen=True, slots=True)

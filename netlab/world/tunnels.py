@@ -13,11 +13,10 @@ from itertools import pairwise
 import numpy as np
 
 from netlab.world.geometry import Floats
+from netlab.world.motion import Point
 
 #: Centre lines that come this close are joined; nearer points of one line are one point.
 JOINT_M = 0.5
-
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

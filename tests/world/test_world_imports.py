@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from netlab.world.choreography import Choreography
 from netlab.world.imports import TraceFormat, TraceProblems, read_motion
-from netlab.world.motion import Choreography
 
 # The shape of a file of ns-2's `setdest` generator: initial places, distances for god, orders.
 NS2 = """

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netlab.world.motion import Carried, Choreography, Follow, Motion, MotionError, Move, Sampled, Walk, Waypoint
+from netlab.world.choreography import Choreography
+from netlab.world.motion import Carried, Follow, Motion, MotionError, Move, Sampled, Walk, Waypoint
 from netlab.world.terrain import TunnelMap
 from netlab.world.tracks import Track
 from netlab.world.tunnels import Tunnel

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netlab.world.geometry import Geometry
-from netlab.world.terrain import OffTunnel, TunnelMap
+from netlab.world.motion import OffTunnel
+from netlab.world.terrain import TunnelMap
 from netlab.world.tunnels import Tunnel, join_tunnels
 from netlab.world.world import open_field
 
