@@ -6,13 +6,14 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from netlab.scenario.base import NodeName, NotYet, StrictModel, Switch
+from netlab.scenario.base import NodeName, StrictModel, Switch
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import PositiveSeconds, Seconds
+from netlab.scenario.places import Position
+from netlab.scenario.quantities import MetresPerSecond, PositiveSeconds, Seconds
 from netlab.scenario.words import Words
 
 MOST_CYCLES = 10_000
-KINDS = ("outage", "flap", "link", "kill")
+KINDS = ("outage", "flap", "link", "kill", "deploy", "move")
 
 
 class PathEvent(Ends):
@@ -66,8 +67,16 @@ class Kill(StrictModel):
     process: str
 
 
+class MoveWords(StrictModel):
+    """Put a node elsewhere at once, or send it there with a speed; it leaves its own motion for good."""
+
+    node: NodeName
+    to: Position
+    speed_mps: MetresPerSecond | None = Field(default=None, alias="speed")
+
+
 class Event(StrictModel):
-    """One entry of `events`: exactly one of outage, flap, link, kill, at ``at_s`` seconds of scenario time."""
+    """One entry of `events`: exactly one of ``KINDS``, at ``at_s`` seconds of scenario time."""
 
     at_s: Seconds = Field(alias="at")
     outage: Outage | None = None
@@ -75,8 +84,8 @@ class Event(StrictModel):
     link: LinkChange | None = None
     kill: Kill | None = None
     restart_s: Seconds | None = Field(default=None, alias="restart")
-    deploy: NotYet = None
-    move: NotYet = None
+    deploy: NodeName | None = None
+    move: MoveWords | None = None
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:

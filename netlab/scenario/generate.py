@@ -104,7 +104,11 @@ def _nodes(shape: Generate, template: dict[str, Any], explicit: dict[str, Any]) 
     nodes: dict[str, Any] = {}
     for index, name in enumerate(shape.names()):
         own = explicit.get(name) or {}
-        nodes[name] = {"position": shape.position(index)} | template | own if isinstance(own, dict) else own
+        if isinstance(own, dict):
+            own = template | own
+            placed = any(key in own for key in ("waypoints", "follow", "carried_by"))
+            own = own if placed else {"position": shape.position(index)} | own
+        nodes[name] = own
     return nodes | {name: body for name, body in explicit.items() if name not in nodes}
 
 

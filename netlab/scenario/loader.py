@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from netlab.errors import ScenarioError
 from netlab.scenario.check_activity import check_activity
+from netlab.scenario.check_motion import check_motion
 from netlab.scenario.check_radio import check_radio
 from netlab.scenario.check_topology import check_topology
 from netlab.scenario.document import Document, line_of
@@ -101,7 +102,8 @@ def _build(
 
 
 def _cross_check(scenario: Scenario, doubt: Doubt) -> list[Problem]:
-    found = [*check_topology(scenario, doubt), *check_radio(scenario), *check_activity(scenario, doubt)]
+    found = [*check_topology(scenario, doubt), *check_radio(scenario)]
+    found += [*check_motion(scenario, doubt), *check_activity(scenario, doubt)]
     return [(doubt.written(path), message) for path, message in found]
 
 

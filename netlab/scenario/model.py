@@ -20,9 +20,11 @@ from netlab.scenario.expect import AnyExpectation
 from netlab.scenario.generate import Generate
 from netlab.scenario.links import Link, Wire, wires
 from netlab.scenario.mesh import BatmanSettings, FloodSettings, MeshWord, components, same_mesh
+from netlab.scenario.motion import MotionFile
 from netlab.scenario.nodes import MeshSettings, Node
 from netlab.scenario.quantities import PositiveSeconds
 from netlab.scenario.radio import Radio
+from netlab.scenario.terrain import Terrain
 from netlab.scenario.traffic import ALL, Stream, Traffic
 
 ENGINES = ("auto", "air", "netem")
@@ -58,8 +60,8 @@ class Scenario(StrictModel):
     events: tuple[Event, ...] = ()
     expect: tuple[AnyExpectation, ...] = ()
     generate: Generate | None = None
-    terrain: NotYet = None
-    motion: NotYet = None
+    terrain: Terrain | None = None
+    motion: MotionFile | None = None
     wnet: NotYet = None
     rose: NotYet = None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
@@ -10,9 +9,20 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema
 
-from netlab.scenario.base import NotYet, StrictModel, Switch, Topic, not_yet
+from netlab.scenario.base import NodeName, NotYet, StrictModel, Switch, Topic, not_yet
 from netlab.scenario.mesh import BatmanSettings, FloodSettings, MeshWord
-from netlab.scenario.quantities import DURATION, RATE, RATIO, SIZE, PositiveSeconds, Quantity, describe
+from netlab.scenario.places import Position, WaypointWords
+from netlab.scenario.quantities import (
+    DURATION,
+    LENGTH,
+    RATE,
+    RATIO,
+    SIZE,
+    Degrees,
+    MetresPerSecond,
+    PositiveSeconds,
+    Quantity,
+)
 from netlab.scenario.radio import node_radio
 from netlab.scenario.rate_limit import RateLimit
 
@@ -172,36 +182,31 @@ def _as_text(value: object) -> object:
     return str(value) if isinstance(value, (int, float)) else value
 
 
-def _position(value: object) -> tuple[float, ...]:
-    """Read `[x, y]` or `[x, y, z]` in metres."""
-    if not isinstance(value, (list, tuple)) or len(value) not in (2, 3):
-        raise ValueError(f"expected [x, y] or [x, y, z] in metres, found {describe(value)}")
-    for part in value:
-        if isinstance(part, bool) or not isinstance(part, (int, float)) or not math.isfinite(part):
-            raise ValueError(f"expected numbers (metres), found {describe(part)}")
-    return tuple(float(part) for part in value)
-
-
-Position = Annotated[
-    tuple[float, ...],
-    BeforeValidator(_position),
-    WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}),
-]
+_FILE_WORDS = {"heading_deg": "heading", "speed_mps": "speed", "distance_m": "distance"}
+_WALK = ("position", "heading_deg", "waypoints", "speed_mps")
+_MOTION_WORDS = {"follow": (*_WALK, "carried_by"), "carried_by": (*_WALK, "follow", "distance_m")}
 
 
 class Node(StrictModel):
-    """A robot, a relay or a base: where it stands and what runs in it. ``position`` is x, y and perhaps z in metres."""
+    """A robot, a relay or a base: where it stands or goes and what runs in it. ``position`` is in metres.
+
+    A node stands, goes from waypoint to waypoint (``position`` or else the first one is where it begins), follows
+    another one ``distance_m`` behind on its path, or is carried by one until a `deploy` event drops it.
+    """
 
     position: Position = (0.0, 0.0)
+    heading_deg: Degrees | None = Field(default=None, alias="heading")
+    waypoints: tuple[WaypointWords, ...] = ()
+    speed_mps: MetresPerSecond | None = Field(default=None, alias="speed")
+    follow: NodeName | None = None
+    distance_m: Annotated[float, Quantity(LENGTH, maximum=1e6)] | None = Field(default=None, alias="distance")
+    carried_by: NodeName | None = None
     processes: tuple[Process, ...] = ()
     udp_mesh: MeshSettings | None = None
     radio: Annotated[Literal["none"], BeforeValidator(node_radio), WithJsonSchema({"const": "none"})] | None = None
     mesh: MeshWord | None = None
     batman_adv: BatmanSettings | None = None
     flood: FloodSettings | None = None
-    waypoints: NotYet = None
-    speed: NotYet = None
-    carried_by: NotYet = None
     motion: NotYet = None
     wnet: NotYet = None
     rose: NotYet = None
@@ -214,9 +219,32 @@ class Node(StrictModel):
             raise ValueError(f"two processes are called '{twice[0]}'; give one another name:")
         return self
 
+    @model_validator(mode="after")
+    def _one_motion(self) -> Self:
+        given = self.model_fields_set
+        for key in ("follow", "carried_by"):
+            others = [word for word in _MOTION_WORDS[key] if word in given]
+            if key in given and others:
+                raise ValueError(
+                    f"{_FILE_WORDS.get(others[0], others[0])} means nothing beside {key}; remove one of the two"
+                )
+        if (self.follow is None) != (self.distance_m is None):
+            raise ValueError("follow: NODE and distance: 5m belong together; add the other one")
+        legs = self.waypoints if "position" in given else self.waypoints[1:]
+        if self.speed_mps is None and any(leg.speed_mps is None for leg in legs):
+            raise ValueError("the waypoints have no speed; add speed: 1m/s")
+        if self.speed_mps is not None and not self.waypoints:
+            raise ValueError("speed is that of a walk; add waypoints or remove it")
+        return self
+
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"anyOf": [handler(schema), {"type": "null"}]}
+
+    @property
+    def motion_key(self) -> str | None:
+        """The key that makes it move; None if it stands."""
+        return next((key for key in ("waypoints", "follow", "carried_by") if getattr(self, key)), None)
 
     def process(self, name: str) -> Process | None:
         """The process of that name, or None."""

@@ -140,6 +140,7 @@ DECIBELS = Dimension("decibels", "20dB", _units(dB="1", dBi="1"), ("dB",))
 ANGLE = Dimension("an angle", "60deg", _units(deg="1"), ("deg",))
 SPEED = Dimension("a speed", "1.5m/s", {"m/s": Decimal(1), "km/h": Decimal(1000) / Decimal(3600)}, ("m/s",))
 LENGTH = Dimension("a length", "4m", _units(cm="0.01", m="1", km="1000"), ("cm", "m", "km"))
+ANGLE = Dimension("an angle", "90deg", _units(deg="1"), ("deg",))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +190,9 @@ Seconds = Annotated[float, Quantity(DURATION, maximum=_MOST_S)]
 PositiveSeconds = Annotated[float, Quantity(DURATION, maximum=_MOST_S, above_minimum=True)]
 BitsPerSecond = Annotated[float, Quantity(RATE, above_minimum=True)]
 Ratio = Annotated[float, Quantity(RATIO, maximum=1.0)]
+Metres = Annotated[float, Quantity(LENGTH, maximum=1e6, above_minimum=True)]
+MetresPerSecond = Annotated[float, Quantity(SPEED, maximum=1e4, above_minimum=True)]
+Degrees = Annotated[float, Quantity(ANGLE, minimum=-360.0, maximum=360.0)]
 Hertz = Annotated[float, Quantity(FREQUENCY, above_minimum=True)]
 #: How strongly a radio is heard: from below any receiver's noise to one metre away.
 Dbm = Annotated[float, Quantity(POWER, minimum=-110.0, maximum=0.0)]

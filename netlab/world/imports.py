@@ -85,7 +85,7 @@ def _follow_orders(place: list[float], orders: list[tuple[float, float, float, f
     x_m, y_m, z_m = place
     samples = [(0.0, (x_m, y_m, z_m))]
     ordered = sorted(orders, key=lambda order: order[0])
-    ends = [*(order[0] for order in ordered[1:]), math.inf]
+    ends = [*(order[0] for order in ordered), math.inf][1:]
     for (at_s, goal_x_m, goal_y_m, speed_mps), next_s in zip(ordered, ends, strict=True):
         samples.append((at_s, (x_m, y_m, z_m)))
         way_m = math.hypot(goal_x_m - x_m, goal_y_m - y_m)

@@ -194,17 +194,15 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
         parse_scenario(
             {
                 "duration": "1s",
-                "terrain": {"tunnels": []},
                 "wnet": {},
                 "radio": {
                     "tx_power": "20dBm",
                     "propagation": {"model": "subt"},
                 },
-                "nodes": {"a": {"waypoints": [[0, 0]], "speed": "1m/s", "carried_by": "b", "mesh": "wnet"}, "b": {}},
-                "events": [{"at": "0s", "deploy": "a"}],
+                "nodes": {"a": {"motion": "a.csv", "mesh": "wnet"}, "b": {}},
                 "udp_mesh": {"bridge": "on"},
             }
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]
     assert late == caught.value.problems
-    assert len(late) == 10
+    assert len(late) == 6

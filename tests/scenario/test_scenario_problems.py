@@ -114,7 +114,57 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         ),
         ("  relay:", "  relay:\n  all:", "s.yaml:6: nodes.all: 'all' has a meaning of its own; choose another name"),
         ("  relay:", "  relay: {mesh: wnet}", "s.yaml:5: nodes.relay.mesh: mesh 'wnet' is not available yet"),
-        ("  relay:", "  relay: {waypoints: []}", "s.yaml:5: nodes.relay.waypoints: is not available yet; remove it"),
+        (
+            "  relay:",
+            "  relay: {waypoints: [[0, 0], [5, 0]]}",
+            "s.yaml:5: nodes.relay: the waypoints have no speed; add",
+        ),
+        (
+            "  relay:",
+            "  relay: {speed: 1m/s}",
+            "s.yaml:5: nodes.relay: speed is that of a walk; add waypoints or remove",
+        ),
+        (
+            "  relay:",
+            "  relay: {follow: robot1}",
+            "s.yaml:5: nodes.relay: follow: NODE and distance: 5m belong together",
+        ),
+        (
+            "  relay:",
+            "  relay: {follow: base, distance: 5}",
+            "s.yaml:5: nodes.relay.distance: 5 has no unit; write a length",
+        ),
+        (
+            "  relay:",
+            "  relay: {carried_by: base, heading: 9deg}",
+            "s.yaml:5: nodes.relay: heading means nothing beside carr",
+        ),
+        (
+            "  relay:",
+            "  relay: {carried_by: base}",
+            "s.yaml:8: links[1]: 'relay' is carried until it is dropped, and no",
+        ),
+        (
+            "  relay:",
+            "  relay: {follow: x, distance: 1m}",
+            "s.yaml:5: nodes.relay.follow: node 'x' is not defined; nodes",
+        ),
+        (
+            "  relay:",
+            "  relay: {follow: relay, distance: 1m}",
+            "s.yaml:5: nodes.relay.follow: nodes follow or carry one anoth",
+        ),
+        (
+            "  relay:",
+            "  relay: {waypoints: [[0]]}",
+            "s.yaml:5: nodes.relay.waypoints[0]: expected [x, y] or [x,",
+        ),
+        (
+            "  relay:",
+            "  relay: {waypoints: [[0, 0, {puase: 1s}]]}",
+            "waypoints[0]: unknown key 'puase'; did you mean",
+        ),
+        ("  relay:", "  relay: {motion: x.csv}", "s.yaml:5: nodes.relay.motion: is not available yet; remove it"),
         (
             "  relay:",
             "  relay: {position: [1]}",
@@ -144,7 +194,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         (
             "{at: 5s, outage",
             "{at: 5s, deploy: x, outage",
-            "s.yaml:12: events[0].deploy: is not available yet; remove it",
+            "s.yaml:12: events[0]: give exactly one of outage, flap, link, kill, deploy, move; found outage and deploy",
         ),
         ("{at: 5s, outage", "{at: 5s, restart: 1s, outage", "s.yaml:12: events[0]: restart belongs to kill; remove it"),
         ("for: 3s}", "for: 3s, over: radio}", "s.yaml:12: events[0].outage.over: 'base' and 'robot1' share no radio"),
@@ -161,7 +211,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         (", p99: 60ms", "", "s.yaml:14: expect[0]: there is no bound; add p50: or p90: or p99: or max:"),
         ("{latency: {topic: telemetry}, p99: 60ms}", "{speed: 1}", "s.yaml:14: expect[0]: asks no known question"),
         ("duration: 20s\n", "duration: 20s\nengine: sim\n", "s.yaml:2: engine: engine 'sim' is not available yet"),
-        ("duration: 20s\n", "duration: 20s\nterrain: {}\n", "s.yaml:2: terrain: is not available yet; remove it"),
+        ("duration: 20s\n", "duration: 20s\nterrain: {}\n", "s.yaml:2: terrain.tunnels: is missing; add it"),
         (
             "duration: 20s\n",
             "duration: 20s\nudp_mesh: {key: x}\n",

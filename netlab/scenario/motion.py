@@ -1,0 +1,113 @@
+"""Motion of a scenario's nodes: a file of another program, and what nodes and events say, as values of the world."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
+
+from netlab.scenario.base import NodeName, Problems, StrictModel
+from netlab.scenario.words import read_file
+from netlab.world.choreography import Choreography
+from netlab.world.imports import TraceFormat, TraceProblems, read_motion
+from netlab.world.motion import NEVER_S, Carried, Follow, Motion, Move, Sampled, Walk, Waypoint
+from netlab.world.tracks import Track
+
+if TYPE_CHECKING:
+    from netlab.scenario.model import Scenario
+    from netlab.scenario.nodes import Node
+
+_FORMATS = {
+    ".csv": TraceFormat.CSV,
+    ".movements": TraceFormat.BONNMOTION,
+    ".ns_movements": TraceFormat.NS2,
+    ".tcl": TraceFormat.NS2,
+}
+
+
+class MotionFile(StrictModel):
+    """Recorded or generated motion. ``nodes`` are the names of the file's nodes 0, 1, ... where it only counts them."""
+
+    file: str
+    format: Literal["ns2", "bonnmotion", "bonnmotion_3d", "csv"] | None = None
+    nodes: Annotated[tuple[NodeName, ...], Field(min_length=1)] | None = None
+    _tracks: dict[str, Sampled] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _read(self, info: ValidationInfo) -> Self:
+        trace_format = TraceFormat(self.format) if self.format else _FORMATS.get(PurePath(self.file).suffix)
+        if trace_format is None:
+            raise ValueError(
+                f"'{self.file}' does not tell its format; add format: ns2, bonnmotion, bonnmotion_3d or csv"
+            )
+        try:
+            tracks = read_motion(read_file(info, self.file), trace_format)
+        except TraceProblems as error:
+            raise Problems(f"{self.file}:{problem}" for problem in error.problems) from None
+        self._tracks = tracks if trace_format is TraceFormat.CSV else self._named(tracks)
+        if trace_format is TraceFormat.CSV and self.nodes is not None:
+            raise ValueError(f"'{self.file}' names its nodes itself; remove nodes")
+        return self
+
+    @property
+    def tracks(self) -> dict[str, Sampled]:
+        """The motion of each node that the file speaks of."""
+        return self._tracks
+
+    def _named(self, tracks: dict[str, Sampled]) -> dict[str, Sampled]:
+        if self.nodes is None:
+            raise ValueError(f"'{self.file}' counts its nodes; add nodes: [name of node 0, name of node 1, ...]")
+        unknown = [number for number in tracks if int(number) >= len(self.nodes)]
+        if unknown:
+            raise ValueError(f"'{self.file}' has a node {unknown[0]}, and nodes names {len(self.nodes)} from 0 on")
+        return {self.nodes[int(number)]: track for number, track in tracks.items()}
+
+
+def choreography(scenario: Scenario, moves: tuple[Move, ...] = ()) -> Choreography:
+    """All motion that the scenario describes, with ``moves`` besides."""
+    terrain = None if scenario.terrain is None else scenario.terrain.tunnel_map
+    return Choreography(motions(scenario), (*scheduled_moves(scenario), *moves), terrain)
+
+
+def tracks(scenario: Scenario, moves: tuple[Move, ...] = ()) -> list[Track]:
+    """Where each node is when, in the order of the scenario. Raises MotionError for a move that cannot be."""
+    return choreography(scenario, moves).tracks()
+
+
+def motions(scenario: Scenario) -> dict[str, Motion]:
+    """How every node means to move, before any `move` event."""
+    recorded = scenario.motion.tracks if scenario.motion is not None else {}
+    deployed = {event.deploy: event.at_s for event in reversed(scenario.events) if event.deploy is not None}
+    return {
+        name: recorded.get(name) or _motion(node, deployed.get(name, NEVER_S)) for name, node in scenario.nodes.items()
+    }
+
+
+def scheduled_moves(scenario: Scenario) -> tuple[Move, ...]:
+    """The `move` events, in the order of the file."""
+    return tuple(
+        Move(event.at_s, event.move.node, event.move.to, event.move.speed_mps)
+        for event in scenario.events
+        if event.move is not None
+    )
+
+
+def _motion(node: Node, deployed_at_s: float) -> Motion:
+    if node.follow is not None:
+        assert node.distance_m is not None  # the model: both or neither
+        return Follow(node.follow, node.distance_m)
+    if node.carried_by is not None:
+        return Carried(node.carried_by, deployed_at_s)
+    first, *rest = node.waypoints or (None,)
+    if first is None or "position" in node.model_fields_set:
+        start_m, pause_s, rest = node.position, 0.0, list(node.waypoints)
+    else:
+        start_m, pause_s = first.position, first.pause_s
+    waypoints = []
+    for words in rest:
+        assert words is not None
+        speed_mps = words.speed_mps or node.speed_mps
+        assert speed_mps is not None  # the model: a speed for every leg
+        waypoints.append(Waypoint(words.position, speed_mps, words.pause_s))
+    return Walk(start_m, tuple(waypoints), pause_s, node.heading_deg)

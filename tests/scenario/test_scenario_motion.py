@@ -1,0 +1,178 @@
+"""Terrain and motion as a file's words: what they mean, and what a person is told about mistakes in them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from netlab.errors import ScenarioError
+from netlab.scenario import parse_scenario
+from netlab.scenario.motion import tracks
+
+TERRAIN = """\
+duration: 120s
+terrain:
+  tunnels:
+    - {name: adit,  path: [[0, 0], [120, 0]], width: 4m}
+    - {name: drift, path: [[120, 0], [120, 80]], width: 3m, height: 2m}
+"""
+
+
+def track_of(text: str, node: str, **options: Any) -> Any:
+    scenario = parse_scenario(text, name="s.yaml", **options)
+    return dict(zip(scenario.nodes, tracks(scenario), strict=True))[node]
+
+
+def problems(text: str, **options: Any) -> list[str]:
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text, name="s.yaml", **options)
+    return caught.value.problems
+
+
+def test_a_robot_goes_from_waypoint_to_waypoint_along_the_tunnels() -> None:
+    track = track_of(
+        TERRAIN + "nodes: {r: {waypoints: [[100, 0, {pause: 5s}], [120, 20, {speed: 2m/s}], [120, 50]], speed: 1m/s}}",
+        "r",
+    )
+    assert track.at(5).position_m == (100, 0, 0)
+    assert track.at(15).position_m == pytest.approx((120, 0, 0))
+    assert track.at(25).position_m == pytest.approx((120, 20, 0))
+    assert track.at(35).position_m == pytest.approx((120, 30, 0))
+
+
+def test_a_position_is_where_a_walk_begins() -> None:
+    track = track_of("duration: 9s\nnodes: {r: {position: [9, 9], waypoints: [[0, 9]], speed: 3m/s}}", "r")
+    assert track.at(0).position_m == (9, 9, 0)
+    assert track.at(3).position_m == pytest.approx((0, 9, 0))
+
+
+def test_followers_beacons_and_moves() -> None:
+    text = """
+duration: 100s
+nodes:
+  tail: {follow: head, distance: 10m}
+  beacon: {carried_by: tail}
+  head: {waypoints: [[0, 0], [50, 0]], speed: 1m/s}
+  still: {position: [0, 5], heading: 45deg}
+events:
+  - {at: 30s, deploy: beacon}
+  - {at: 60s, move: {node: still, to: [0, 15], speed: 1m/s}}
+"""
+    assert track_of(text, "tail").at(40).position_m == pytest.approx((30, 0, 0))
+    assert track_of(text, "beacon").at(90).position_m == pytest.approx((20, 0, 0))
+    assert track_of(text, "beacon").active_from_s == 30
+    assert track_of(text, "still").at(50).heading_deg == 45
+    assert track_of(text, "still").at(65).position_m == pytest.approx((0, 10, 0))
+
+
+def test_generated_nodes_may_walk() -> None:
+    text = "duration: 9s\ngenerate: {shape: line, count: 2, node: {waypoints: [[0, 0], [9, 0]], speed: 1m/s}}"
+    assert track_of(text, "n2").at(0).position_m == (0, 0, 0)
+
+
+def test_motion_of_other_programs(tmp_path: Path) -> None:
+    (tmp_path / "walk.movements").write_text("0.0 1.0 1.0 10.0 11.0 1.0\n0.0 5.0 5.0\n")
+    text = "duration: 9s\nmotion: {file: walk.movements, nodes: [b, a]}\nnodes: {a: , b: , c: {position: [7, 7]}}"
+    assert track_of(text, "b", directory=tmp_path).at(5).position_m == (6, 1, 0)
+    assert track_of(text, "a", directory=tmp_path).at(5).position_m == (5, 5, 0)
+    assert track_of(text, "c", directory=tmp_path).at(5).position_m == (7, 7, 0)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "expected"),
+    [
+        (
+            "r: {position: [60, 10]}",
+            "s.yaml:6: nodes.r.position: [60, 10] lies in the rock; the nearest tunnel is 'adit'",
+        ),
+        ("r: {waypoints: [[0, 0], [60, 9]], speed: 1m/s}", "s.yaml:6: nodes.r.waypoints[1]: [60, 9] lies in the rock"),
+        ("r: {waypoints: [[0, 9], [6, 0]], speed: 1m/s}", "s.yaml:6: nodes.r.waypoints[0]: [0, 9] lies in the rock"),
+        ("r: {position: [0, 0], waypoints: [[6, 9]], speed: 1m/s}", "s.yaml:6: nodes.r.waypoints[0]: [6, 9] lies in"),
+    ],
+)
+def test_rock_is_found_before_anything_starts(nodes: str, expected: str) -> None:
+    [problem] = problems(TERRAIN + f"nodes: {{{nodes}}}")
+    assert expected in problem
+
+
+@pytest.mark.parametrize(
+    ("events", "expected"),
+    [
+        (
+            "{at: 1s, deploy: r}",
+            "s.yaml:3: events[0].deploy: nobody carries 'r'; add carried_by to it, or remove the event",
+        ),
+        ("{at: 1s, deploy: x}", "s.yaml:3: events[0].deploy: node 'x' is not defined"),
+        ("{at: 1s, deploy: b}, {at: 2s, deploy: b}", "events[1].deploy: 'b' is dropped twice (first by events[0])"),
+        ("{at: 1s, move: {node: x, to: [0, 0]}}", "s.yaml:3: events[0].move.node: node 'x' is not defined"),
+        ("{at: 1s, move: {node: b, to: [0, 0]}}", "s.yaml:3: events[0].move.node: 'b' is still carried then; let it"),
+        ("{at: 1s, kill: {node: b, process: p}}", "s.yaml:3: events[0].kill.node: 'b' is still carried then; let it"),
+        ("{at: 1s, move: {node: r, to: [0]}}", "s.yaml:3: events[0].move.to: expected [x, y] or [x, y, z]"),
+    ],
+)
+def test_wrong_deployments_and_moves(events: str, expected: str) -> None:
+    nodes = "nodes: {r: , b: {carried_by: r, processes: [{argv: [sleep], name: p}]}}"
+    [problem] = problems(f"duration: 9s\n{nodes}\nevents: [{events}]")
+    assert expected in problem
+
+
+def test_a_move_into_the_rock() -> None:
+    [problem] = problems(TERRAIN + "nodes: {r: }\nevents: [{at: 1s, move: {node: r, to: [0, 50]}}]")
+    assert problem.startswith("s.yaml:7: events[0].move.to: [0, 50] lies in the rock")
+
+
+def test_tunnels_that_do_not_meet_are_told_by_the_way_that_is_missing() -> None:
+    far = "    - {name: far, path: [[0, 50], [9, 50]], width: 3m}\n"
+    [problem] = problems(TERRAIN + far + "nodes: {r: {waypoints: [[0, 0], [5, 50]], speed: 1m/s}}")
+    assert problem.startswith("s.yaml:7: nodes.r.waypoints[1]: no tunnel leads from [0, 0] to [5, 50]")
+
+
+@pytest.mark.parametrize(
+    ("tunnels", "expected"),
+    [
+        ("{name: a, path: [[0, 0]], width: 4m}", "tunnels[0].path: has 1 entries; give at least 2"),
+        ("{name: a, path: [[0, 0], [0, 0]], width: 4m}", "tunnels[0]: path[1] is where path[0] is; remove one"),
+        ("{name: a, path: [[0, 0], [9, 0]], width: 4}", "tunnels[0].width: 4 has no unit; write a length like 4m"),
+        ("{name: a, path: [[0, 0], [9, 0]], width: 0m}", "tunnels[0].width: '0m' is impossible; it must be above zero"),
+        ("{name: a, path: [[0, 0], [9, 0]]}", "tunnels[0].width: is missing; add it"),
+        ("{name: a, path: [[0, 0], [9, 0]], width: 4m, material: coal}", "tunnels[0].material: is not available yet"),
+    ],
+)
+def test_wrong_tunnels(tunnels: str, expected: str) -> None:
+    [problem] = problems(f"duration: 9s\nterrain:\n  tunnels: [{tunnels}]\nnodes: {{a: }}")
+    assert problem.startswith(f"s.yaml:3: terrain.{expected}")
+
+
+@pytest.mark.parametrize(
+    ("motion", "text", "expected"),
+    [
+        ("{file: m.csv}", "at_s,node,x,y\n0,z,1,1\n", "s.yaml:2: motion.file: m.csv: node 'z' is not defined"),
+        ("{file: m.csv}", "at_s,node,x,y\n0,a,1\n", "s.yaml:2: motion: m.csv:2: 3 cells; there must be 4"),
+        ("{file: m.csv}", "at_s,node,x,y\n0,w,1,1\n", "s.yaml:3: nodes.w.waypoints: the motion of 'w' is in m.csv"),
+        ("{file: m.csv, nodes: [a]}", "at_s,node,x,y\n0,a,1,1\n", "s.yaml:2: motion: 'm.csv' names its nodes itself"),
+        ("{file: m.txt}", "", "s.yaml:2: motion: 'm.txt' does not tell its format; add format:"),
+        ("{file: m.tcl}", "$node_(0) set X_ 1.0\n", "s.yaml:2: motion: 'm.tcl' counts its nodes; add nodes:"),
+        ("{file: m.tcl, nodes: [a]}", "$node_(1) set X_ 1.0\n", "s.yaml:2: motion: 'm.tcl' has a node 1, and nodes"),
+        ("{file: no.csv}", "", "s.yaml:2: motion: cannot read 'no.csv': No such file"),
+    ],
+)
+def test_wrong_motion_files(tmp_path: Path, motion: str, text: str, expected: str) -> None:
+    name = motion.removeprefix("{file: ").rstrip("}").partition(",")[0]
+    if name != "no.csv":
+        (tmp_path / name).write_text(text)
+    source = f"duration: 9s\nmotion: {motion}\nnodes: {{a: , w: {{waypoints: [[0, 0]]}}}}"
+    [problem] = problems(source, directory=tmp_path)
+    assert problem.startswith(expected)
+
+
+def test_a_lab_of_wires_does_without_numpy() -> None:
+    code = (
+        "import sys; from netlab.scenario import parse_scenario; "
+        "parse_scenario('duration: 1s\\nnodes: {a: {waypoints: [[0, 0], [1, 1]], speed: 1m/s}}'); "
+        "sys.exit('numpy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
