@@ -18,6 +18,8 @@ class Kind(StrEnum):
     LOG = "log"
     TIMELINE = "timeline"
     LINKS = "links"
+    MAP = "map"
+    POSES = "poses"
     PUBLISHED = "published"
     RECEIVED = "received"
 
@@ -33,6 +35,10 @@ def kind_of(topic: str) -> Kind:
             return Kind.TIMELINE
         case ["links"]:
             return Kind.LINKS
+        case ["map"]:
+            return Kind.MAP
+        case ["poses"]:
+            return Kind.POSES
         case [_, "log", *_]:
             return Kind.LOG
         case [_, "traffic", "published"]:
@@ -88,7 +94,7 @@ class LogLine:
 
 @dataclass(frozen=True, slots=True)
 class JsonRecord:
-    """An event, a traffic record, a step of the timeline or the state of links.
+    """An event, a traffic record, a step of the timeline, the state of links, the map or the poses.
 
     ``node`` is empty for the lab's own topics.
     """

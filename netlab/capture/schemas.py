@@ -136,6 +136,25 @@ _JSON_SCHEMAS: dict[str, dict[str, object]] = {
         "required": ["t_ns", "kind"],
     },
     "netlab.Links": {"properties": {"t_ns": _NS}, "required": ["t_ns"]},
+    "foxglove.SceneUpdate": {
+        "properties": {
+            "deletions": {"type": "array", "items": {"type": "object"}},
+            "entities": {"type": "array", "items": {"type": "object"}},
+            "tunnels": {"description": "name, path (metres), width_m and height_m of each tunnel"},
+        },
+        "required": ["entities"],
+    },
+    "foxglove.PosesInFrame": {
+        "properties": {
+            "timestamp": {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}},
+            "frame_id": {"type": "string"},
+            "poses": {"type": "array", "items": {"type": "object"}},
+            "nodes": {"description": "names, in the order of poses"},
+            "active": {"description": "false while a node is still carried"},
+            "t_s": {"type": "number", "description": "scenario time of the poses"},
+        },
+        "required": ["timestamp", "frame_id", "poses", "nodes"],
+    },
     "netlab.Event": {"properties": {"t_ns": _NS, "event": {"type": "string"}}, "required": ["event"]},
     "netlab.Published": {
         "properties": {
@@ -164,12 +183,18 @@ _JSON_SCHEMAS: dict[str, dict[str, object]] = {
 }
 
 
+_LAB_TOPICS = {
+    "/timeline": "netlab.Timeline",
+    "/links": "netlab.Links",
+    "/map": "foxglove.SceneUpdate",
+    "/poses": "foxglove.PosesInFrame",
+}
+
+
 def json_schema_for(topic: str) -> Schema:
     """Return the JSON schema of a topic that is neither packets nor verdicts nor a log."""
-    if topic == "/timeline":
-        name = "netlab.Timeline"
-    elif topic == "/links":
-        name = "netlab.Links"
+    if topic in _LAB_TOPICS:
+        name = _LAB_TOPICS[topic]
     elif topic.endswith("/traffic/published"):
         name = "netlab.Published"
     elif topic.endswith("/traffic/received"):

@@ -13,7 +13,7 @@ from netlab.capture.records import JsonRecord, Kind, LogLine, PacketRecord, Reco
 from netlab.capture.schemas import Direction
 from udp_mesh.core.wire import Dissection
 
-_NODELESS = {Kind.VERDICT, Kind.TIMELINE, Kind.LINKS}
+_NODELESS = {Kind.VERDICT, Kind.TIMELINE, Kind.LINKS, Kind.MAP, Kind.POSES}
 _ARROWS = {Direction.INBOUND: "<-", Direction.OUTBOUND: "->", Direction.UNKNOWN: "--"}
 
 

@@ -24,6 +24,7 @@ COMMANDS = {
     "exec": ("background", "Run a command in a node."),
     "shell": ("background", "Open a shell in a node."),
     "link": ("background", "Cut, restore or change a link of a running lab."),
+    "move": ("background", "Move a node of a running lab."),
     "logs": ("background", "Print the output of a node's processes."),
     "check": ("check", "Validate a scenario file and print every problem."),
     "inspect": ("inspect", "Look into a capture."),

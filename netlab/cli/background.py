@@ -1,4 +1,4 @@
-"""Labs in the background: `down`, `ls`, `exec`, `shell`, `link`, `logs`.
+"""Labs in the background: `down`, `ls`, `exec`, `shell`, `link`, `move`, `logs`.
 
 They only talk to a supervisor, and import nothing of scenarios: `netlab exec` must not cost more than it does.
 """
@@ -123,6 +123,17 @@ def link(lab_name: str | None, a: str, b: str, change: str, one_way: bool) -> No
         words = dict(part.partition("=")[::2] for part in _split_words(change))
         request |= {"do": "link", "words": words}
     _ask(lab_name, request)
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@lab_option
+@click.argument("node")
+@click.argument("x", type=float)
+@click.argument("y", type=float)
+@click.option("--speed", "speed_mps", type=click.FloatRange(min=0, min_open=True), help="Go there, in m/s.")
+def move(lab_name: str | None, node: str, x: float, y: float, speed_mps: float | None) -> None:
+    """Put NODE at X Y (metres) at once, or send it there with --speed; it leaves its own motion."""
+    _ask(lab_name, {"do": "move", "node": node, "to": [x, y], "speed_mps": speed_mps})
 
 
 @click.command()

@@ -23,6 +23,7 @@ _KINDS = {
     "events": {Kind.EVENT, Kind.PUBLISHED, Kind.RECEIVED},
     "timeline": {Kind.TIMELINE},
     "links": {Kind.LINKS},
+    "poses": {Kind.MAP, Kind.POSES},
     "logs": {Kind.LOG},
 }
 

@@ -127,7 +127,12 @@ def traffic_sources(scenario: Scenario, plan: LabPlan) -> list[ProcessSpec]:
         by_node.setdefault(stream.source, []).append(stream)
     specs = []
     for node, own in by_node.items():
-        reachable = reach(scenario, plan, node) & {stream.destination for stream in own}
+        # A destination may be out of reach when a carried source comes to life, which then waits for nobody.
+        reachable = (
+            set()
+            if scenario.nodes[node].carried_by is not None
+            else reach(scenario, plan, node) & {stream.destination for stream in own}
+        )
         extra = ["--seed", str(plan.seed), "--discovery-s", str(DISCOVERY_LIMIT_S)]
         extra += ["--await-peers", ",".join(sorted(reachable))]
         specs.append(_traffic(node, SOURCE, own, extra))
@@ -137,11 +142,15 @@ def traffic_sources(scenario: Scenario, plan: LabPlan) -> list[ProcessSpec]:
 def reach(scenario: Scenario, plan: LabPlan, node: str) -> set[str]:
     """Nodes that ``node`` can discover at the start: its neighbours, or in a mesh all that hops lead to."""
     kind = scenario.meshes[node]
+    at_rest = set(scenario.at_rest)
+    if node not in at_rest:
+        return set()
     if kind is None:
-        return neighbours(plan, node) | _over_radio_mesh(plan, node)
+        return (neighbours(plan, node) | _over_radio_mesh(plan, node)) & at_rest
     found, new = {node}, {node}
     while new:
-        new = {name for known in new for name in neighbours(plan, known) if scenario.meshes[name] is kind} - found
+        new = {name for known in new for name in neighbours(plan, known) if scenario.meshes[name] is kind}
+        new = (new & at_rest) - found
         found |= new
     return found - {node}
 

@@ -85,6 +85,11 @@ class Recording:
         for row in rows:
             self._message("/links", row)
 
+    def message(self, topic: str, payload: dict[str, Any], t_ns: int) -> None:
+        """Record one object of the lab's own, stamped by the caller."""
+        if self._recorder is not None:
+            self._recorder.message(topic, payload, t_ns)
+
     def set_t0(self, t0_ns: int) -> None:
         """Declare scenario time zero."""
         if self._recorder is not None:

@@ -10,13 +10,14 @@ from netlab.engines.base import LabPlan
 from netlab.errors import LabError
 from netlab.lab.control import Connection, Reply, Request
 from netlab.lab.links import Links, parse_words
+from netlab.lab.motion import Motion
 from netlab.lab.process import State
 from netlab.lab.processes import Processes, kill_group
 from netlab.lab.recording import Recording
 from netlab.lab.scenario_run import READY_LIMIT_S, Phase, ScenarioRun, wait_for_state, wait_ready
 from netlab.medium.impairments import PERFECT
 from netlab.medium.segments import SegmentKind
-from netlab.timeline import Kind, SetPairs
+from netlab.timeline import Kind, MoveNode, SetPairs
 from netlab.timeline.impairments import impairment
 
 
@@ -27,6 +28,7 @@ class RunningLab(Protocol):
     links: Links
     processes: Processes
     recording: Recording
+    motion: Motion
     run: ScenarioRun
 
     def status(self) -> dict[str, Any]: ...
@@ -115,6 +117,13 @@ class Requests:
         changes = {pair: impairment(words, self._lab.links.impairment(pair) or PERFECT) for pair in pairs}
         label = f"link {a}-{b}: " + ", ".join(f"{key}={value}" for key, value in request["words"].items())
         await self._lab.run.apply(SetPairs(changes), Kind.LINK, label, at_s=self._lab.run.t_s)
+        return {"ok": True}
+
+    async def _do_move(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
+        node, to_m, speed_mps = request["node"], tuple(map(float, request["to"])), request.get("speed_mps")
+        self._lab.motion.move(node, to_m, at_s=max(0.0, self._lab.run.t_s or 0.0), speed_mps=speed_mps)
+        place = ", ".join(f"{value:g}" for value in to_m)
+        await self._lab.run.apply(MoveNode(node), Kind.MOVE, f"move {node} to [{place}]", at_s=self._lab.run.t_s)
         return {"ok": True}
 
     async def _do_kill(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:

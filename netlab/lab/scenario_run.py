@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Any
 
-from netlab.engines.base import LabPlan
+from netlab.engines.base import LabPlan, Pair
 from netlab.errors import LabError, NetlabError
 from netlab.lab.links import Links
 from netlab.lab.process import Process, ProcessSpec, State, describe_status
@@ -26,8 +26,10 @@ from netlab.lab.recording import Recording
 from netlab.scenario.model import Scenario
 from netlab.timeline import (
     Action,
+    DeployNode,
     Entry,
     KillProcess,
+    MoveNode,
     SetCarrier,
     SetOutage,
     SetPairs,
@@ -68,6 +70,12 @@ class ScenarioRun:
         self.streams: dict[int, dict[str, Any]] = {}
         #: Whether every stream of a mesh has a route yet; asked before t = 0.
         self.has_routes: Callable[[], bool] = lambda: True
+        #: The processes of a node that has just been dropped.
+        self.specs_of: Callable[[str], list[ProcessSpec]] = lambda _node: []
+        self.on_start: Callable[[int], None] = lambda _t0_ns: None
+        self._arrivals: set[asyncio.Task[None]] = set()
+        self._sources: list[Process] = []
+        self._sinks: list[Process] = []
         self._phase_changed = asyncio.Event()
         self._started = asyncio.Event()
 
@@ -87,13 +95,13 @@ class ScenarioRun:
         routes_by_s = time.monotonic() + DISCOVERY_LIMIT_S
         while not self.has_routes() and time.monotonic() < routes_by_s:
             await asyncio.sleep(_ROUTES_POLL_S)
-        sources, sinks = await self._start_traffic()
+        await self._start_traffic(self._scenario.at_rest, DISCOVERY_LIMIT_S + READY_LIMIT_S)
         self.t0_ns = time.time_ns() + _START_LEAD_NS
         self._recording.set_t0(self.t0_ns)
         self._recording.links(self._links.describe())
-        start = {"t0_ns": self.t0_ns, "duration_s": self._scenario.duration_s}
-        for process in sources:
-            _send(process, start)
+        for process in self._sources:
+            self._tell_to_begin(process, late=False)
+        self.on_start(self.t0_ns)
         await self._sleep_until(0.0)
         self._recording.timeline("start", "t = 0", at_s=0.0)
         self._enter(Phase.RUNNING)
@@ -108,7 +116,7 @@ class ScenarioRun:
         self._recording.timeline("end", "the scenario's duration is over", at_s=self._scenario.duration_s)
         self._enter(Phase.DRAINING)
         await self._sleep_until(self._scenario.duration_s + DRAIN_S)
-        await self._stop_traffic(sources, sinks)
+        await self._stop_traffic()
 
     async def wait_for_phase(self, phase: Phase) -> None:
         """Return when that phase has been reached."""
@@ -146,8 +154,12 @@ class ScenarioRun:
                 self._processes.stop(self._processes.get(node, process), signal.SIGKILL)
             case StartProcess(node, process):
                 await self.start_process(node, process)
+            case DeployNode(node, pairs):
+                self._deploy(node, set(pairs))
+            case MoveNode():
+                pass  # the motions say where it is
         self._recording.timeline(kind, label, at_s=at_s, **{"restores": None, **joins})
-        if isinstance(action, SetPairs | SetOutage | SetCarrier):
+        if isinstance(action, SetPairs | SetOutage | SetCarrier | DeployNode):
             self._recording.links(self._links.describe())
 
     async def start_process(self, node: str, name: str) -> None:
@@ -169,10 +181,32 @@ class ScenarioRun:
         if not process.stopping and status != 0:
             self.problems.append(process.describe_failure())
 
-    async def _start_traffic(self) -> tuple[list[Process], list[Process]]:
-        sinks = await self._start_ready(traffic_sinks(self._scenario), READY_LIMIT_S)
-        specs = traffic_sources(self._scenario, self._plan)
-        return await self._start_ready(specs, DISCOVERY_LIMIT_S + READY_LIMIT_S), sinks
+    def _deploy(self, node: str, pairs: set[Pair]) -> None:
+        """Put a node that was carried on the air, and bring its processes to life while the timeline goes on."""
+        self._links.set_outage(carried(node), pairs, active=False)
+        task = asyncio.create_task(self._come_alive(node))
+        self._arrivals.add(task)
+        task.add_done_callback(self._arrivals.discard)
+
+    async def _come_alive(self, node: str) -> None:
+        try:
+            await wait_ready([self._processes.start(spec) for spec in self.specs_of(node)], READY_LIMIT_S)
+            for process in await self._start_traffic([node], READY_LIMIT_S):
+                self._tell_to_begin(process, late=True)
+        except LabError as error:
+            self.problems.append(f"{node}: {error}")
+
+    async def _start_traffic(self, nodes: Sequence[str], limit_s: float) -> list[Process]:
+        """Start the sinks, then the sources of some nodes; returns those sources."""
+        wanted = [spec for spec in traffic_sinks(self._scenario) if spec.node in nodes]
+        self._sinks += await self._start_ready(wanted, READY_LIMIT_S)
+        wanted = [spec for spec in traffic_sources(self._scenario, self._plan) if spec.node in nodes]
+        sources = await self._start_ready(wanted, limit_s)
+        self._sources += sources
+        return sources
+
+    def _tell_to_begin(self, process: Process, *, late: bool) -> None:
+        _send(process, {"t0_ns": self.t0_ns, "duration_s": self._scenario.duration_s, "late": late})
 
     async def _start_ready(self, specs: list[ProcessSpec], limit_s: float) -> list[Process]:
         started = [self._processes.start(spec) for spec in specs]
@@ -196,10 +230,10 @@ class ScenarioRun:
         for row in json.loads(data):
             self.streams.setdefault(row["stream"], {}).update(row)
 
-    async def _stop_traffic(self, sources: list[Process], sinks: list[Process]) -> None:
-        for process in sinks:
+    async def _stop_traffic(self) -> None:
+        for process in self._sinks:
             _send(process, {"stop": True})
-        for process in (*sources, *sinks):
+        for process in (*self._sources, *self._sinks):
             process.stopping = True
             try:
                 await wait_for_state(process, State.EXITED, 2.0)
@@ -216,6 +250,11 @@ class ScenarioRun:
         self.phase = phase
         self._phase_changed.set()
         self._phase_changed = asyncio.Event()
+
+
+def carried(node: str) -> str:
+    """Who holds the pairs of a node down that is still carried."""
+    return f"carried {node}"
 
 
 def _joins(entry: Entry) -> dict[str, tuple[str, str] | tuple[tuple[str, str], ...]]:

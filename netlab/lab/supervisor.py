@@ -33,6 +33,7 @@ from netlab.lab.control import ControlServer
 from netlab.lab.isolation import keep_paths
 from netlab.lab.launch import LaunchOptions, log_tail
 from netlab.lab.links import Links
+from netlab.lab.motion import set_in_motion
 from netlab.lab.processes import Processes
 from netlab.lab.programs import mesh_processes, node_processes, stream_routes
 from netlab.lab.recording import Recording
@@ -87,6 +88,7 @@ class Supervisor:
         self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
         self.processes.open_events = self.recording.open_events
         self.processes.on_line = self.recording.line
+        self.motion = set_in_motion(self._scenario, self.plan, self.links, self.recording)
         self.run = ScenarioRun(self._scenario, self.plan, self.links, self.processes, self.recording)
         routes = stream_routes(self._scenario, self.plan)
         self.run.has_routes = lambda: not mesh_interfaces.missing_routes(self.plan, self._engine.namespace_fds, routes)
@@ -99,7 +101,9 @@ class Supervisor:
         await wait_ready([self.processes.start(spec) for spec in mesh_processes(self.plan)], READY_LIMIT_S)
         mesh_interfaces.wait_for_processes(self.plan, self._engine.namespace_fds)
         folder = self._folder.path
-        specs = [s for node in self.plan.nodes for s in node_processes(self._scenario, node, folder, self.plan)]
+        self.run.specs_of = lambda node: node_processes(self._scenario, node, folder, self.plan)
+        self.run.on_start = self.motion.begin
+        specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
         self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
 
@@ -152,6 +156,7 @@ class Supervisor:
 
     def close(self) -> None:
         """Stop processes and finish the capture; the rest goes with PID 1."""
+        self.motion.end()
         for process in self.processes.all():
             self.processes.stop(process)
         self._close_recording()

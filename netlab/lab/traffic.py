@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import random
 import select
@@ -73,6 +74,8 @@ def source_main(argv: list[str]) -> int:
             return 0
         with os.fdopen(options.events_fd, "wb", buffering=0) as events:
             source = _Source(client, streams, random.Random(f"{options.seed}/{streams[0].source}"))
+            if start["late"]:
+                source.skip((time.time_ns() - start["t0_ns"]) / 1e9)
             source.run(events, command, t0_ns=start["t0_ns"], duration_s=start["duration_s"])
     return 0
 
@@ -109,6 +112,11 @@ class _Source:
         # Robots do not publish in lockstep: a seeded phase, below a tenth of a second so that t = 0 keeps its meaning.
         self._phase_s = [rng.uniform(0.0, min(0.1, streams[0].interval_s)) for streams in self._publications]
         self._sent = [0] * len(self._publications)
+
+    def skip(self, late_s: float) -> None:
+        """Leave out what was due in the first ``late_s`` seconds, while the node was still carried."""
+        for index, (phase_s, streams) in enumerate(zip(self._phase_s, self._publications, strict=True)):
+            self._sent[index] = max(0, math.ceil((late_s - phase_s) / streams[0].interval_s))
 
     def run(self, events: BinaryIO, command: socket.socket, *, t0_ns: int, duration_s: float) -> None:
         """Publish message k at t0 + phase + k * interval, as long as that lies before the duration."""

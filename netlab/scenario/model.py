@@ -75,6 +75,11 @@ class Scenario(StrictModel):
         """The nodes with a radio, in order."""
         return tuple(name for name, node in self.nodes.items() if node.radio is None) if self.radio else ()
 
+    @property
+    def at_rest(self) -> tuple[str, ...]:
+        """The nodes that take part from the start, in order: all but those that are carried."""
+        return tuple(name for name, node in self.nodes.items() if node.carried_by is None)
+
     def wires(self) -> tuple[Wire, ...]:
         """The wires that `links` makes, in the order of their first appearance."""
         return wires(self.links)

@@ -140,7 +140,6 @@ DECIBELS = Dimension("decibels", "20dB", _units(dB="1", dBi="1"), ("dB",))
 ANGLE = Dimension("an angle", "60deg", _units(deg="1"), ("deg",))
 SPEED = Dimension("a speed", "1.5m/s", {"m/s": Decimal(1), "km/h": Decimal(1000) / Decimal(3600)}, ("m/s",))
 LENGTH = Dimension("a length", "4m", _units(cm="0.01", m="1", km="1000"), ("cm", "m", "km"))
-ANGLE = Dimension("an angle", "90deg", _units(deg="1"), ("deg",))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,23 +3,29 @@
 from netlab.timeline.compiler import compile_timeline
 from netlab.timeline.entries import (
     Action,
+    DeployNode,
     Entry,
     KillProcess,
     Kind,
+    MoveNode,
     SetCarrier,
     SetOutage,
     SetPairs,
     StartProcess,
 )
+from netlab.timeline.routes import carried_pairs
 
 __all__ = [
     "Action",
+    "DeployNode",
     "Entry",
     "KillProcess",
     "Kind",
+    "MoveNode",
     "SetCarrier",
     "SetOutage",
     "SetPairs",
     "StartProcess",
+    "carried_pairs",
     "compile_timeline",
 ]

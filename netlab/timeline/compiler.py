@@ -21,9 +21,11 @@ from netlab.scenario.model import Scenario
 from netlab.scenario.radio import TraceRow
 from netlab.timeline.entries import (
     Action,
+    DeployNode,
     Entry,
     KillProcess,
     Kind,
+    MoveNode,
     Pair,
     SetCarrier,
     SetOutage,
@@ -32,7 +34,7 @@ from netlab.timeline.entries import (
 )
 from netlab.timeline.holds import Hold, Holds
 from netlab.timeline.impairments import Impairments
-from netlab.timeline.labels import path_name, words_text
+from netlab.timeline.labels import move_text, path_name, words_text
 from netlab.timeline.paths import Hop, RadioWords, WireWords
 from netlab.timeline.places import Places
 from netlab.timeline.routes import with_routes
@@ -86,6 +88,12 @@ class _Compiler:
                 yield _Moment(event.at_s, False, partial(self._change, event.link))
             elif event.kill is not None:
                 yield from self._kill_moments(event, event.kill)
+            elif event.deploy is not None:
+                dropped = DeployNode(event.deploy, self._places.pairs_of(event.deploy))
+                yield _Moment(event.at_s, True, partial(_alone, Kind.DEPLOY, f"deploy {event.deploy}", dropped))
+            elif event.move is not None:
+                moved = MoveNode(event.move.node)
+                yield _Moment(event.at_s, False, partial(_alone, Kind.MOVE, move_text(event.move), moved))
 
     def _silent(self, part: Outage | Flap) -> frozenset[Pair]:
         wire, radio = self._places.meant(part)

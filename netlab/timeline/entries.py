@@ -22,6 +22,9 @@ class Kind(StrEnum):
     TRACE = "trace"
     KILL = "kill"
     START = "start_process"
+    DEPLOY = "deploy"
+    MOVE = "move"
+    RADIO = "radio"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +66,22 @@ class StartProcess:
     process: str
 
 
-Action = SetPairs | SetOutage | SetCarrier | KillProcess | StartProcess
+@dataclass(frozen=True, slots=True)
+class DeployNode:
+    """Drop a node that was carried: it lies there from now on, on the air (all its pairs), and its processes start."""
+
+    node: str
+    pairs: frozenset[Pair]
+
+
+@dataclass(frozen=True, slots=True)
+class MoveNode:
+    """A node leaves its motion for another place; who reads the motions knows where it is."""
+
+    node: str
+
+
+Action = SetPairs | SetOutage | SetCarrier | KillProcess | StartProcess | DeployNode | MoveNode
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from netlab.scenario.events import MoveWords
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import DURATION, POWER, RATE, RATIO
+from netlab.scenario.quantities import DURATION, POWER, RATE, RATIO, SPEED
 from netlab.scenario.words import Words
 
 
@@ -11,6 +12,13 @@ def path_name(ends: Ends) -> str:
     """`a-b` for both directions, `a->b` for one."""
     a, b = ends.ends
     return f"{a}-{b}" if ends.between is not None else f"{a}->{b}"
+
+
+def move_text(move: MoveWords) -> str:
+    """`move a to [3, 4]`, with the speed if it has one."""
+    place = ", ".join(f"{value:g}" for value in move.to)
+    speed = "" if move.speed_mps is None else f" at {SPEED.format(move.speed_mps)}"
+    return f"move {move.node} to [{place}]{speed}"
 
 
 def words_text(words: Words) -> str:

@@ -41,6 +41,12 @@ class Places:
         found = (place((x, y)) for place in (self.wire, self.radio) for x, y in ((a, b), (b, a)))
         return {pair for pair in found if pair is not None}
 
+    def pairs_of(self, node: str) -> frozenset[Pair]:
+        """Every pair of radio ports to and from a node."""
+        others = [name for name in self._radios if name != node]
+        found = (self.radio(hop) for other in others for hop in ((node, other), (other, node)))
+        return frozenset(pair for pair in found if pair is not None)
+
     def meant(self, event: PathEvent) -> tuple[set[Pair], set[Pair]]:
         """The pairs of the wire and those of the radios that an event is about."""
         wire = {self.wire(hop) for hop in event.directions} if event.over != "radio" else set()

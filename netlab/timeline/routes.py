@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 from netlab.scenario.mesh import components
 from netlab.scenario.model import Scenario
-from netlab.timeline.entries import Action, Entry, Pair, SetCarrier, SetOutage, SetPairs
+from netlab.timeline.entries import Action, DeployNode, Entry, Pair, SetCarrier, SetOutage, SetPairs
+from netlab.timeline.places import Places
 
 if TYPE_CHECKING:
     from netlab.engines.base import LabPlan
@@ -33,11 +34,18 @@ def with_routes(entries: Sequence[Entry], scenario: Scenario, plan: LabPlan) -> 
     ]
     if not plan.meshes:
         return tuple(entries)
-    state = _State(plan)
+    state = _State(plan, carried_pairs(scenario, plan))
     marked: list[Entry] = []
     for _, moment in groupby(entries, key=lambda entry: entry.at_s):
         marked += _moment([_plain(entry, scenario) for entry in moment], dict.fromkeys(meshed), state)
     return tuple(marked)
+
+
+def carried_pairs(scenario: Scenario, plan: LabPlan) -> dict[str, frozenset[Pair]]:
+    """Of each node that is carried at the start, every pair of radio ports that it has a part in."""
+    carried = [name for name, node in scenario.nodes.items() if node.carried_by is not None]
+    places = Places(plan)
+    return {name: places.pairs_of(name) for name in carried}
 
 
 def _plain(entry: Entry, scenario: Scenario) -> Entry:
@@ -77,7 +85,7 @@ def _cuts(action: Action) -> bool:
 class _State:
     """What is up, entry by entry."""
 
-    def __init__(self, plan: LabPlan) -> None:
+    def __init__(self, plan: LabPlan, carried: dict[str, frozenset[Pair]]) -> None:
         self._plan = plan
         members = {port for mesh in plan.meshes for port in mesh.ports}
         kinds = {mesh.node: mesh.kind for mesh in plan.meshes}
@@ -90,7 +98,8 @@ class _State:
             and {sender, receiver} <= members
             and kinds[plan.ports[sender].node] is kinds[plan.ports[receiver].node]
         }
-        self._out: set[Pair] = set()
+        self._out: frozenset[Pair] = frozenset()
+        self._carried = carried
         self._unplugged: set[int] = set()
         self._parts: Mapping[str, Hashable] | None = None
 
@@ -98,6 +107,8 @@ class _State:
         match action:
             case SetOutage(pairs, active):
                 self._out = self._out | pairs if active else self._out - pairs
+            case DeployNode(node):
+                self._carried.pop(node, None)
             case SetCarrier(ports, up):
                 self._unplugged = self._unplugged - ports if up else self._unplugged | ports
             case SetPairs(changes):
@@ -118,4 +129,5 @@ class _State:
 
     def _up(self, sender: int, receiver: int) -> bool:
         pair = (sender, receiver)
-        return self._in_range[pair] and pair not in self._out and not self._unplugged & {sender, receiver}
+        carried = any(pair in pairs for pairs in self._carried.values())
+        return self._in_range[pair] and not (carried or pair in self._out or self._unplugged & {sender, receiver})

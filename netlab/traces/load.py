@@ -29,7 +29,7 @@ from netlab.traces.model import (
 )
 from udp_mesh.core.wire import tag_of
 
-_KINDS = frozenset(Kind) - {Kind.LOG}
+_KINDS = frozenset(Kind) - {Kind.LOG, Kind.MAP, Kind.POSES}
 _COPY_WITHIN_NS = 1_000_000_000  # between a daemon's event and its packet; a restarted daemon begins its numbers anew
 
 

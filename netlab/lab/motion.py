@@ -1,0 +1,128 @@
+"""Nodes in motion: where they are as the scenario's time goes on, and what depends on that.
+
+Theory. Everybody's place is a function of the scenario's time, so a tick that comes late, or not at all, changes
+nothing of where a node is at the next one. Ticks are at whole multiples of ``TICK_S`` of scenario time; a late one is
+not made up for. Before t = 0 all nodes are where they begin.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from netlab.capture.scene import Passage, Pose, map_message, poses_message
+from netlab.errors import LabError
+from netlab.lab.links import Links
+from netlab.lab.scenario_run import carried
+from netlab.scenario.model import Scenario
+from netlab.scenario.motion import tracks
+from netlab.timeline import carried_pairs
+from netlab.world.motion import MotionError, Move
+
+if TYPE_CHECKING:
+    from netlab.engines.base import LabPlan
+    from netlab.lab.recording import Recording
+
+TICK_S = 0.05
+_TICKS_PER_POSE = 2
+
+
+class Motion:
+    """Where the nodes of a running lab are. ``on_tick`` gets the scenario time at every tick."""
+
+    def __init__(self, scenario: Scenario, recording: Recording) -> None:
+        self._scenario = scenario
+        self._recording = recording
+        self._moves: tuple[Move, ...] = ()
+        self.tracks = tracks(scenario)
+        self.on_tick: Callable[[float], None] = lambda at_s: None
+        self._moves_at_all = any(len(set(track.points_m)) > 1 for track in self.tracks)
+        #: Whether something else than places changes with time.
+        self.always_ticks = False
+        self._t0_ns: int | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def is_described(self) -> bool:
+        """Whether the scenario says anything of places, so that a map of it means something."""
+        nodes = self._scenario.nodes.values()
+        return self._scenario.terrain is not None or any(
+            "position" in n.model_fields_set or n.motion_key for n in nodes
+        )
+
+    def record_map(self) -> None:
+        """Record the terrain, and where everybody begins."""
+        if not self.is_described:
+            return
+        now_ns = time.time_ns()
+        terrain = self._scenario.terrain
+        if terrain is not None:
+            passages = [Passage(t.name, t.path, t.width_m, t.height_m) for t in terrain.tunnel_map.tunnels]
+            self._recording.message("/map", map_message(passages, now_ns), now_ns)
+        self._record_poses(0.0, now_ns)
+
+    def begin(self, t0_ns: int) -> None:
+        """Tick from t = 0 on, if anything changes with time."""
+        self._t0_ns = t0_ns
+        if self._task is None and (self._moves_at_all or self.always_ticks):
+            self._task = asyncio.create_task(self._run(t0_ns))
+
+    def end(self) -> None:
+        """Tick no more."""
+        if self._task is not None:
+            self._task.cancel()
+
+    def move(self, node: str, to_m: tuple[float, ...], *, at_s: float, speed_mps: float | None = None) -> None:
+        """Put a node elsewhere, or send it there; before t = 0 it will be there then.
+
+        Raises:
+            LabError: Unknown node, it is still carried, or the place lies in the rock.
+        """
+        if node not in self._scenario.nodes:
+            raise LabError(f"there is no node '{node}'; nodes are {', '.join(self._scenario.nodes)}")
+        if at_s < self.tracks[list(self._scenario.nodes).index(node)].active_from_s:
+            raise LabError(f"'{node}' is still carried; move who carries it")
+        moves = (*self._moves, Move(at_s, node, to_m, speed_mps))
+        try:
+            self.tracks = tracks(self._scenario, moves)
+        except MotionError as error:
+            raise LabError(f"{error.node}: {error}") from None
+        self._moves, self._moves_at_all = moves, True
+        self.tick(at_s)
+        if self._t0_ns is not None:
+            self.begin(self._t0_ns)
+
+    def tick(self, at_s: float, *, poses: bool = True) -> None:
+        """Let a scenario time take effect now."""
+        self.on_tick(at_s)
+        if poses:
+            self._record_poses(at_s, time.time_ns())
+
+    async def _run(self, t0_ns: int) -> None:
+        number = 0
+        while True:
+            reached = int((time.time_ns() - t0_ns) / 1e9 / TICK_S)
+            number = max(number + 1, reached)
+            at_s = number * TICK_S
+            wait_s = (t0_ns - time.time_ns()) / 1e9 + at_s
+            if wait_s > 0:
+                await asyncio.sleep(wait_s)
+            self.tick(at_s, poses=self._moves_at_all and number % _TICKS_PER_POSE == 0)
+
+    def _record_poses(self, at_s: float, now_ns: int) -> None:
+        poses = []
+        for node, track in zip(self._scenario.nodes, self.tracks, strict=True):
+            state = track.at(at_s)
+            poses.append(Pose(node, state.position_m, state.heading_deg, at_s >= track.active_from_s))
+        self._recording.message("/poses", poses_message(poses, at_s, now_ns), now_ns)
+
+
+def set_in_motion(scenario: Scenario, plan: LabPlan, links: Links, recording: Recording) -> Motion:
+    """Put everybody where it begins: carried nodes are off the air, and the map is recorded."""
+    for node, pairs in carried_pairs(scenario, plan).items():
+        links.set_outage(carried(node), set(pairs), active=True)
+    motion = Motion(scenario, recording)
+    motion.record_map()
+    return motion
