@@ -9,9 +9,11 @@ from netlab.engines.plan import compile_plan
 from netlab.medium.impairments import Impairment, RandomLoss
 from netlab.scenario import parse_scenario
 from netlab.timeline import (
+    DeployNode,
     Entry,
     KillProcess,
     Kind,
+    MoveNode,
     SetCarrier,
     SetOutage,
     SetPairs,
@@ -250,3 +252,34 @@ def test_any_mixture_of_cuts_switches_each_thing_alternately_and_leaves_all_up(
 def _apart(ends: set[str], down: set[object]) -> bool:
     ports = {0, 1} if ends == {"a", "b"} else {2, 3}
     return any(thing in ports or (isinstance(thing, tuple) and set(thing) <= ports) for thing in down)
+
+
+def test_a_dropped_node_comes_on_the_air_and_a_moved_one_is_told() -> None:
+    nodes = {"a": {}, "b": {}, "c": {"carried_by": "a"}, "d": {"carried_by": "a"}}
+    entries = timeline(
+        {"at": "5s", "deploy": "c"},
+        {"at": "6s", "move": {"node": "b", "to": [1, 2.5], "speed": "2m/s"}},
+        nodes=nodes,
+        links=[],
+        radio={"propagation": {"model": "none"}},
+    )
+    dropped = DeployNode("c", frozenset({(2, 0), (2, 1), (2, 3), (0, 2), (1, 2), (3, 2)}))
+    assert [(entry.at_s, entry.kind, entry.action) for entry in entries] == [
+        (5, Kind.DEPLOY, dropped),
+        (6, Kind.MOVE, MoveNode("b")),
+    ]
+    assert entries[1].label == "move b to [1, 2.5] at 2m/s"
+
+
+def test_a_dropped_node_joins_the_ends_of_a_stream_in_a_mesh() -> None:
+    words = {"propagation": {"model": "table", "pairs": [{"between": ["a", "c"]}, {"between": ["c", "b"]}]}}
+    entries = timeline(
+        {"at": "5s", "deploy": "c"},
+        nodes={"a": {"processes": ["udp_mesh"]}, "b": {"processes": ["udp_mesh"]}, "c": {"carried_by": "a"}},
+        links=[],
+        radio=words,
+        mesh="batman-adv",
+        traffic=[{"from": "a", "to": "b", "topic": "t", "size": "100B", "rate": "1Hz"}],
+    )
+    [entry] = entries
+    assert entry.rejoins == (("a", "b"),)
