@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,6 @@ import yaml
 
 from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind
-from netlab.errors import LabError
 from netlab.lab.facade import Lab
 from netlab.pytest_plugin import MakeLab
 
@@ -68,12 +69,17 @@ def test_a_carried_node_runs_nothing_and_nobody_hears_it(lab: Lab) -> None:
     assert lab.exec("base", "ping", "-c1", "-W2", "robot").returncode == 0
 
 
+def move(lab: Lab, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "netlab", "move", "--lab", lab.name, *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+
+
 def test_a_person_moves_a_node(lab: Lab) -> None:
-    lab.move("robot", 60, 1)
-    with pytest.raises(LabError, match=r"robot: .*lies in the rock"):
-        lab.move("robot", 60, 10)
-    with pytest.raises(LabError, match="'beacon' is still carried; move who carries it"):
-        lab.move("beacon", 60, 0)
+    assert move(lab, "robot", "60", "-1").returncode == 0
+    refused = move(lab, "robot", "60", "-10")
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("robot: [60, -10] lies in the rock; the nearest tunnel is 'adit'")
+    assert "'beacon' is still carried; move who carries it" in move(lab, "beacon", "60", "0").stderr
     lab.run()
     last = records(lab.capture, Kind.POSES)[-1].payload
-    assert last["poses"][1]["position"] == {"x": 60, "y": 1, "z": 0}  # type: ignore[index]
+    assert last["poses"][1]["position"] == {"x": 60, "y": -1, "z": 0}  # type: ignore[index]
