@@ -204,9 +204,10 @@ class Liveness:
     def datagrams(self, *, now: float) -> list[Datagram]:
         """Return the beacons, probes and answers that are due."""
         frames = self._beacons.frames(now=now)
-        sought = self._search.tags(limit=self._beacons.max_tags(), now=now)
+        sought = self._search.tags(now=now)
         if sought:
-            frames = (frames or self._beacons.hello()) + wire.encode_probe(sought)
+            probe = wire.encode_probe(sought[: self._beacons.max_tags()])
+            frames = (frames or self._beacons.hello()) + probe
         out = self._broadcasts.control(frames, now=now) if frames else []
         return out + self._beacons.introductions()
 

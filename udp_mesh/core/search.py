@@ -53,13 +53,13 @@ class Search:
         interval_s = max(interval_s, self._least_interval_s(len(sought), now=now))
         return self._probed_at_s + (interval_s if is_quick else max(interval_s, PROBE_SLOW_INTERVAL_S))
 
-    def tags(self, *, limit: int, now: float) -> list[int]:
-        """Return whom to ask for now, at most ``limit``; empty unless a probe is due, which then counts as sent."""
+    def tags(self, *, now: float) -> list[int]:
+        """Return whom to ask for now; empty unless a probe is due, which then counts as sent."""
         due_s = self.next_timer(now=now)
         if due_s is None or due_s > now:
             return []
         self._probed_at_s = now
-        return [peer.session.tag for peer in self._sought(now=now)][:limit]
+        return [peer.session.tag for peer in self._sought(now=now)]
 
     def _least_interval_s(self, sought: int, *, now: float) -> float:
         others = sum(now - at_s < SEARCHER_FORGOTTEN_AFTER_S for at_s in self._searchers.values())
