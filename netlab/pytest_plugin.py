@@ -31,6 +31,7 @@ from netlab.clock import clock_here
 from netlab.errors import NetlabError
 from netlab.lab.builder import ScenarioBuilder
 from netlab.lab.facade import Lab
+from netlab.lab.nursery import Nursery
 from netlab.pytest_virtual import selection
 from netlab.pytest_virtual.records import FOLDER_VARIABLE
 from netlab.vm.fitness import INSIDE
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 _FAILED = pytest.StashKey[bool]()
 _CAPTURES = pytest.StashKey[list[tuple[Path, Path]]]()  # where each is recorded, where it is kept if the test fails
 _INSIDE: pytest.StashKey[Inside] = pytest.StashKey()  # in a box that the outside opened
+_NURSERY = pytest.StashKey[Nursery]()
 _MARKER_KEYS = {"engine", "seed", "overrides", "packets"}
 
 ScenarioSource = str | Path | Mapping[str, Any] | ScenarioBuilder
@@ -161,6 +163,7 @@ def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLa
                 overrides=overrides,
                 capture=capture,
                 packets=packets,
+                nursery=_nursery(config),
             )
             labs.append(lab)
             captures.append((capture, directory / f"{stem}{len(labs) if len(labs) > 1 else ''}.mcap"))
@@ -176,6 +179,14 @@ def make_lab(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[MakeLa
         if failed and capture.exists():
             _keep(config, request.node.nodeid, capture, destination)
         capture.unlink(missing_ok=True)
+
+
+def _nursery(config: pytest.Config) -> Nursery:
+    """The session's, begun with its first lab."""
+    if _NURSERY not in config.stash:
+        nursery = config.stash[_NURSERY] = Nursery()
+        config.add_cleanup(nursery.close)
+    return config.stash[_NURSERY]
 
 
 def _keep(config: pytest.Config, test: str, capture: Path, destination: Path) -> None:

@@ -24,6 +24,7 @@ import netlab
 from netlab.errors import LabError
 from netlab.lab.control import ControlClient
 from netlab.lab.launch import LabProcess, LaunchOptions, launch, make_room
+from netlab.lab.nursery import Nursery
 from netlab.lab.results import RunResult, evaluate_run
 from netlab.scenario import load_scenario, parse_scenario
 from netlab.scenario.model import Scenario
@@ -44,6 +45,7 @@ class Lab:
         overrides: Sequence[str] = (),
         capture: Path | str | None = None,
         packets: bool = True,
+        nursery: Nursery | None = None,
     ) -> None:
         """Read and check the scenario; nothing is started yet.
 
@@ -54,6 +56,7 @@ class Lab:
             overrides: ``key.path=value`` as in ``netlab run --set``.
             capture: Where to keep the capture (MCAP). A temporary file, removed on close, if None.
             packets: Record packets and radio verdicts too, not only what applications and daemons report.
+            nursery: Makes the start quicker for whoever starts many labs.
 
         Raises:
             ScenarioError: With every problem at once.
@@ -71,6 +74,7 @@ class Lab:
         self._kept = Path(capture).resolve() if capture is not None else None
         self._scratch: Path | None = None
         self._packets = packets
+        self._nursery = nursery
         self._process: LabProcess | None = None
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -98,7 +102,7 @@ class Lab:
             keep_visible=keep,
         )
         try:
-            self._process = launch(self.scenario, options)
+            self._process = launch(self.scenario, options, self._nursery)
         except BaseException:
             self.close()  # a temporary capture must not stay
             raise

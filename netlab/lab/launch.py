@@ -11,12 +11,14 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from netlab.errors import CaptureError, LabError, MachineError
 from netlab.lab import registry
 from netlab.lab.control import ControlClient
+from netlab.lab.nursery import Forked, Nursery
 from netlab.scenario.model import Scenario
 
 START_TIMEOUT_S = 60.0
@@ -43,7 +45,9 @@ class LaunchOptions:
 class LabProcess:
     """A running supervisor."""
 
-    def __init__(self, folder: registry.LabFolder, process: subprocess.Popen[bytes], lifeline: int | None) -> None:
+    def __init__(
+        self, folder: registry.LabFolder, process: subprocess.Popen[bytes] | Forked, lifeline: int | None
+    ) -> None:
         self.folder = folder
         self._process = process
         self._lifeline = lifeline
@@ -85,37 +89,32 @@ def make_room(capture: Path) -> None:
         raise CaptureError(f"{capture}: its folder cannot be made: {error.strerror}") from None
 
 
-def launch(scenario: Scenario, options: LaunchOptions) -> LabProcess:
+def launch(scenario: Scenario, options: LaunchOptions, nursery: Nursery | None = None) -> LabProcess:
     """Start a lab and return when every interface is up and every process has reported ready.
+
+    Args:
+        scenario: What to run.
+        options: How.
+        nursery: Starts the supervisor as a fork, for whoever starts many labs.
 
     Raises:
         MachineError: This machine cannot run it; the text names the way out.
         LabError: A process could not start; the text holds its argv, exit code and last log lines.
     """
     folder, lock_fd = registry.create(scenario.name)
+    fds = {"--lock-fd": lock_fd}
+    lifeline_write = None
     try:
         (folder.path / "scenario.pickle").write_bytes(pickle.dumps((scenario, options)))
-        ready_read, ready_write = os.pipe()
-        fds = [lock_fd, ready_write]
-        lifeline_write = None
-        arguments = ["--folder", str(folder.path), "--lock-fd", str(lock_fd), "--ready-fd", str(ready_write)]
+        ready_read, fds["--ready-fd"] = os.pipe()
         if not options.background:
-            lifeline_read, lifeline_write = os.pipe()
-            fds.append(lifeline_read)
-            arguments += ["--lifeline-fd", str(lifeline_read)]
+            fds["--lifeline-fd"], lifeline_write = os.pipe()
         with (folder.path / "supervisor.log").open("ab") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "netlab.lab.supervisor", *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                pass_fds=fds,
-                start_new_session=True,
-            )
+            arguments = ["--folder", str(folder.path)]
+            process = (nursery.start if nursery is not None else _execute)(arguments, fds, log.fileno())
     finally:
-        os.close(lock_fd)
-    for fd in fds[1:]:
-        os.close(fd)
+        for fd in fds.values():
+            os.close(fd)
     lab = LabProcess(folder, process, lifeline_write)
     try:
         _wait_ready(lab, ready_read)
@@ -125,6 +124,18 @@ def launch(scenario: Scenario, options: LaunchOptions) -> LabProcess:
     finally:
         os.close(ready_read)
     return lab
+
+
+def _execute(arguments: Sequence[str], fds: Mapping[str, int], log_fd: int) -> subprocess.Popen[bytes]:
+    options = [text for option, fd in fds.items() for text in (option, str(fd))]
+    return subprocess.Popen(
+        [sys.executable, "-m", "netlab.lab.supervisor", *arguments, *options],
+        stdin=subprocess.DEVNULL,
+        stdout=log_fd,
+        stderr=log_fd,
+        pass_fds=tuple(fds.values()),
+        start_new_session=True,
+    )
 
 
 def _wait_ready(lab: LabProcess, ready_fd: int) -> None:
