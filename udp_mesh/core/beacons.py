@@ -32,6 +32,7 @@ SLOT_S = 0.004
 SLOT_AIRTIMES = 4.0
 START_AIRTIMES = 10.0
 INTRODUCTION_INTERVAL_S = 0.05
+NEWS_AFTER_S = 0.02
 _MAX_INTRODUCTIONS = 256
 _MAX_ANSWERS = 1024
 _FOREVER_S = float("inf")
@@ -49,7 +50,7 @@ class Beacons:
         self._answers: dict[int, None] = {}  # tags of nodes that look for us
         self._answer_at_s = _FOREVER_S
         self._introductions: dict[tuple[Path, int], bytes] = {}
-        self._introduced_at_s: dict[Path, float] = {}
+        self._introduced_at_s: dict[tuple[Path, int], float] = {}
 
     # -- what is asked of it
 
@@ -69,13 +70,23 @@ class Beacons:
 
     def introduce(self, epoch: int, path: Path, *, ask: bool, now: float) -> None:
         """Tell a stranger, or a peer that knows an older epoch of us, who we are; ``ask`` for its name, too."""
-        if now - self._introduced_at_s.get(path, NEVER_S) < INTRODUCTION_INTERVAL_S:
+        tag = wire.tag_of(epoch)
+        to = (path, tag if path.via else 0)  # many may be behind a bridge
+        if now - self._introduced_at_s.get(to, NEVER_S) < INTRODUCTION_INTERVAL_S:
             return
         if len(self._introduced_at_s) >= _MAX_INTRODUCTIONS:
             self._introduced_at_s.clear()
-        self._introduced_at_s[path] = now
-        tag = wire.tag_of(epoch)
+        self._introduced_at_s[to] = now
         self._introductions[path, tag] = self.hello() + (wire.encode_probe([tag]) if ask else b"")
+
+    def tell_soon(self, *, now: float) -> None:
+        """Send a beacon in a moment: a bridge has news, perhaps of several nodes at once."""
+        self._answer_at_s = min(self._answer_at_s, now + NEWS_AFTER_S)
+
+    def greet(self, tag: int, path: Path) -> None:
+        """Tell a node that a bridge speaks of who we are, and ask who it is."""
+        if len(self._introductions) < _MAX_INTRODUCTIONS:
+            self._introductions[path, tag] = self.hello() + wire.encode_probe([tag])
 
     # -- time
 
@@ -117,16 +128,19 @@ class Beacons:
         return interval_s * (1 + JITTER * (2 * self._state.rng.random() - 1))
 
     def _may_omit(self, *, now: float) -> bool:
-        if self._omitted >= MAX_OMITTED or self._starts_sent <= len(START_INTERVALS):
+        if self._state.settings.bridge or self._omitted >= MAX_OMITTED or self._starts_sent <= len(START_INTERVALS):
             return False
         since_s = now - FRESH_PART * self.interval_s()
         online = [peer for peer in self._state.peers.values() if peer.is_online]
         return bool(online) and all(peer.last_sent_s >= since_s for peer in online)
 
-    def introductions(self) -> list[Datagram]:
+    def introductions(self, *, now: float) -> list[Datagram]:
         """Return the unicasts to strangers."""
+        state = self._state
         out = [self._broadcasts.stray(path, tag, frames) for (path, tag), frames in self._introductions.items()]
         self._introductions.clear()
+        for datagram in out:
+            state.charge(datagram.path, len(datagram.data), now=now)
         return out
 
     # -- how often
@@ -138,7 +152,7 @@ class Beacons:
         return max(settings.beacon_interval_s, min(shared_s, MAX_INTERVAL_S))
 
     def _team(self) -> int:
-        return 1 + sum(peer.is_online for peer in self._state.peers.values())
+        return 1 + sum(peer.is_online and not peer.path.via for peer in self._state.peers.values())
 
     def _beacon_airtime_s(self) -> float:
         settings = self._state.settings

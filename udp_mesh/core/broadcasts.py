@@ -54,12 +54,15 @@ class Broadcasts:
             if carrier.busy_until_s > now + MAX_BROADCAST_WAIT_S:
                 state.counters["broadcasts_too_late"] += 1
                 continue
+            if is_control and not carrier.takes_control(now=now):
+                continue
             data = header + frames
             data += further(index, state.packet_bytes(paths[0]) - len(data))
             size_bytes = len(paths) * len(data)
-            if not is_control or carrier.may_control(size_bytes, now=now):
-                carrier.on_sent(size_bytes, now=now)
-                out += [Datagram(path, data, 0, priority) for path in paths]
+            if is_control:
+                carrier.on_control(size_bytes, now=now)
+            carrier.on_sent(size_bytes, now=now)
+            out += [Datagram(path, data, 0, priority) for path in paths]
         return out
 
     def stray(self, path: Path, tag: int, frames: bytes) -> Datagram:

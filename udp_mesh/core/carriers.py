@@ -48,11 +48,10 @@ class Carrier:
         """Return how far apart beacons of this size are at least, so that they take a tenth of the carrier."""
         return 8 * size_bytes / (CONTROL_SHARE * self.rate_bps) if self.rate_bps else 0.0
 
-    def may_control(self, size_bytes: int, *, now: float) -> bool:
-        """Whether a beacon or probe of this size may leave; counts it if so."""
-        if not self.rate_bps:
-            return True
-        if now < self.control_at_s:
-            return False
+    def takes_control(self, *, now: float) -> bool:
+        """Whether a beacon or probe may leave."""
+        return not self.rate_bps or now >= self.control_at_s
+
+    def on_control(self, size_bytes: int, *, now: float) -> None:
+        """Count a beacon or probe that leaves."""
         self.control_at_s = now + self.control_interval_s(size_bytes)
-        return True

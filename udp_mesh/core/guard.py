@@ -50,6 +50,9 @@ class Guard:
             opened = self._open(view[at : at + segment_bytes], path, now=now)
             if opened is None:
                 continue
+            if self._state.settings.bridge:  # it may have to be passed on as it is
+                self._receiver.datagram(opened, path, sealed=view[at : at + segment_bytes], now=now)
+                continue
             if plain and len(opened) > len(plain[0]):
                 self._pass(plain, path, now=now)
                 plain = []

@@ -17,6 +17,9 @@ from __future__ import annotations
 
 from udp_mesh.core import wire
 from udp_mesh.core.beacons import ANYBODY, Beacons
+from udp_mesh.core.bridge import Bridge
+from udp_mesh.core.bridge_queue import QUEUE_S
+from udp_mesh.core.broadcasts import Broadcasts
 from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import (
     NameConflict,
@@ -26,13 +29,15 @@ from udp_mesh.core.events import (
     PeerUp,
     PeerUpReason,
 )
+from udp_mesh.core.links import Links
 from udp_mesh.core.outbox import Outbox
+from udp_mesh.core.packets import Link
+from udp_mesh.core.paths import Paths
 from udp_mesh.core.peer import Path, Peer, Session
 from udp_mesh.core.reassembly import Partial
 from udp_mesh.core.routing import Router
 from udp_mesh.core.search import PROBE_TRAFFIC_WITHIN_S, Search
 from udp_mesh.core.state import NodeState
-from udp_mesh.core.transmit import Transmitter
 
 MAX_PEERS = 1024
 SMALL_TEAM = 2  # peers that are greeted by unicast
@@ -40,18 +45,24 @@ MISSED_BEACONS = 3.5  # three and some jitter
 CONFLICT_AFTER_S = 3.0
 STALL_S = 0.05
 STALL_GRACE_S = 0.1
+TELL_AGAIN_S = 0.25
 
 
 class Liveness:
     """Peers' names, epochs and presence."""
 
-    def __init__(self, state: NodeState, outbox: Outbox, transmitter: Transmitter, *, now: float) -> None:
+    def __init__(
+        self, state: NodeState, outbox: Outbox, broadcasts: Broadcasts, bridge: Bridge, links: Links, *, now: float
+    ) -> None:
         self._state = state
+        self._bridge = bridge
+        self._links = links
         self._outbox = outbox
-        self._broadcasts = transmitter.broadcasts
+        self._broadcasts = broadcasts
         self.router = Router(state, outbox)
-        self._beacons = Beacons(state, transmitter.broadcasts, now=now)
+        self._beacons = Beacons(state, broadcasts, now=now)
         self._search = Search(state)
+        self._told_again_at_s = now
 
     # -- what was heard
 
@@ -79,7 +90,10 @@ class Liveness:
         elif peer.name != hello.name:
             state.counters["name_changed"] += 1
             return None
-        if hello.beacon_interval_s > 0:
+        told = self._links.way(wire.tag_of(epoch), path) if path.via else None
+        if told is not None:
+            peer.beacon_interval_s = told.interval_s  # its own beacons are not heard here
+        elif hello.beacon_interval_s > 0:
             peer.beacon_interval_s = hello.beacon_interval_s
         return peer
 
@@ -91,6 +105,7 @@ class Liveness:
         state = self._state
         session = Session(epoch, state.memory, now=now)
         peer = Peer(name, session, path, state.new_congestion(path, now=now), now=now)
+        peer.paths = Paths(state.links)
         state.peers[name] = peer
         self._begin_session(peer, PeerUpReason.DISCOVERED, now=now)
         return peer
@@ -138,6 +153,9 @@ class Liveness:
         peer.session.reassembler.touch(now=now)
         peer.congestion.on_return(now=now)
         peer.pacer.reset()
+        self._links.met(peer.session.tag)
+        if self._state.settings.bridge and not peer.path.via:
+            self._beacons.tell_soon(now=now)
         self._state.events.append(PeerUp(now, peer.name, peer.session.epoch, peer.path.address, reason))
 
     def on_probe(self, epoch: int, tags: tuple[int, ...], heard: tuple[int, ...], path: Path, *, now: float) -> None:
@@ -152,6 +170,25 @@ class Liveness:
             if peer is None or not peer.session.control:  # else a greeting is about to leave
                 self._beacons.answer_in_turn(epoch, now=now)
         self._search.heard_searching(epoch, tags, now=now)
+        if self._state.settings.bridge:
+            self._help_to_find(tags, path, now=now)
+
+    def _help_to_find(self, tags: tuple[int, ...], path: Path, *, now: float) -> None:
+        """Look on the other carriers for those who are sought on one; say it if they are there."""
+        for peer in (self._state.peer_of_tag(tag) for tag in tags):
+            if peer is not None and not peer.is_online:
+                peer.last_traffic_s = now
+            elif peer is not None and self._bridge.reaches(peer.session.tag, path) and now >= self._told_again_at_s:
+                self._told_again_at_s = now + TELL_AGAIN_S
+                self._beacons.tell_soon(now=now)
+
+    def on_link(self, bridge: Peer, link: Link, path: Path, *, now: float) -> None:
+        """Take what a bridge says of whom it reaches; its word stands for the beacons of a peer that is behind it."""
+        for peer, told in self._links.take(bridge, link, path, self._beacons.greet, now=now):
+            if peer.is_online:
+                self.router.heard(peer, told.way, now=now)
+                if peer.path.via:
+                    peer.last_heard_s, peer.beacon_interval_s = now, told.interval_s
 
     def introduce(self, epoch: int, path: Path, *, ask: bool, now: float) -> None:
         """Tell a stranger, or a peer that knows an older epoch of us, who we are; ``ask`` for its name, too."""
@@ -175,6 +212,8 @@ class Liveness:
         if peer.waiting_since_s is None or not len(peer.session.recovery):
             return max(missed_s, peer.grace_until_s)
         patience_s = max(self._state.settings.suspect_after_s, 3 * peer.session.rtt.probe_timeout_s(expirations=0))
+        if peer.path.via and self._state.rate_bps(peer.path):
+            patience_s += QUEUE_S  # others may wait at the bridge, too
         return max(peer.waiting_since_s + patience_s, peer.grace_until_s)
 
     def _go_down(self, peer: Peer, *, now: float) -> None:
@@ -204,12 +243,17 @@ class Liveness:
     def datagrams(self, *, now: float) -> list[Datagram]:
         """Return the beacons, probes and answers that are due."""
         frames = self._beacons.frames(now=now)
+        tells = bool(frames) and self._state.settings.bridge
         sought = self._search.tags(now=now)
         if sought:
             probe = wire.encode_probe(sought[: self._beacons.max_tags()])
             frames = (frames or self._beacons.hello()) + probe
-        out = self._broadcasts.control(frames, now=now) if frames else []
-        return out + self._beacons.introductions()
+
+        def link_frames(carrier: int, room_bytes: int) -> bytes:
+            return self._bridge.link_frames(carrier, room_bytes, now=now) if tells else b""
+
+        out = self._broadcasts.control(frames, link_frames, now=now) if frames else []
+        return out + self._beacons.introductions(now=now)
 
     def report_purged(self, peer: Peer, purged: list[tuple[int, Partial]], *, is_settled: bool, now: float) -> None:
         """Turn purged partial messages into events."""

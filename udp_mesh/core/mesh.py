@@ -12,9 +12,11 @@ from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING
 
+from udp_mesh.core.bridge import Bridge
 from udp_mesh.core.carriers import UNLIMITED_BYTES, Carrier
 from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.events import DropReason, Event, RefusalReason
+from udp_mesh.core.links import Links
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused
 from udp_mesh.core.peer import Path
@@ -44,8 +46,11 @@ class MeshCore:
         self._state = NodeState(settings, epoch=epoch, rng=rng)
         self._outbox = Outbox(self._state)
         self._transmitter = Transmitter(self._state, self._outbox)
-        self._liveness = Liveness(self._state, self._outbox, self._transmitter, now=now)
-        self._receiver = Receiver(self._state, self._outbox, self._liveness)
+        links = Links(self._state)
+        self._bridge = Bridge(self._state, links)
+        broadcasts = self._transmitter.broadcasts
+        self._liveness = Liveness(self._state, self._outbox, broadcasts, self._bridge, links, now=now)
+        self._receiver = Receiver(self._state, self._outbox, self._liveness, self._bridge, links)
         self._guard: Guard | None = None
         self._resting_guard: Guard | None = None
         self._use_keys(settings.keys)
@@ -104,13 +109,19 @@ class MeshCore:
     def datagrams_to_send(self, *, now: float) -> list[Datagram]:
         """Return what has to leave now, in this order; call again until it is empty."""
         self._now = now
+
+        def own_priority(carrier: int) -> int | None:
+            return self._transmitter.most_urgent(carrier, now=now)
+
+        passed_on = self._bridge.datagrams(own_priority, now=now)  # as they came: sealed by their sender
         datagrams = self._liveness.datagrams(now=now) + self._transmitter.datagrams(now=now)
-        return datagrams if self._guard is None else self._guard.seal(datagrams)
+        return passed_on + (datagrams if self._guard is None else self._guard.seal(datagrams))
 
     def next_timer(self) -> float:
         """Return when :meth:`handle_timer` has to be called at the latest; it may be in the past."""
         times = [self._liveness.next_timer(now=self._now), self._housekeeping_at_s]
-        for time in (self._outbox.next_timer(), self._transmitter.next_timer(now=self._now)):
+        parts = (self._outbox.next_timer(), self._transmitter.next_timer(now=self._now))
+        for time in (*parts, self._bridge.next_timer(now=self._now)):
             if time is not None:
                 times.append(time)
         for peer in self._state.peers.values():

@@ -64,12 +64,27 @@ class Hello(NamedTuple):
     heard: tuple[int, ...]
 
 
+class Link(NamedTuple):
+    """What a bridge says of one of its carriers: datagrams for these ``tags`` may be sent to the bridge.
+
+    ``number`` tells the carrier from its others; ``mtu_bytes`` is the longest datagram there, ``rate_bps`` what it
+    carries (0: unknown). Within ``rounds`` such frames every tag is named.
+    """
+
+    number: int
+    mtu_bytes: int
+    rate_bps: int
+    rounds: int
+    tags: tuple[int, ...]
+
+
 class Dissection(NamedTuple):
     """One datagram, decoded.
 
     ``destination_tag`` is the low half of the addressee's epoch, 0 in a broadcast. ``probes`` are the tags of nodes
     that the sender is looking for. ``floors``: every message below this id is settled. ``purged``: messages of which
-    the sender has forgotten what it had. ``backlogs`` are priorities of what waits at the sender.
+    the sender has forgotten what it had. ``backlogs`` are priorities of what waits at the sender. ``is_bridged``: a
+    bridge has passed it on. ``links``: whom else the sender, a bridge, reaches.
     """
 
     epoch: int
@@ -85,6 +100,8 @@ class Dissection(NamedTuple):
     purged: tuple[int, ...]
     pings: int
     backlogs: tuple[int, ...] = ()
+    is_bridged: bool = False
+    links: tuple[Link, ...] = ()
 
     @property
     def is_broadcast(self) -> bool:

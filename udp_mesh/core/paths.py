@@ -5,13 +5,15 @@ Theory of operation.
 * The path in use changes when it is silent while another is heard, when another is clearly better (much faster by the
   carriers' known rates, or a fifth of the beacons less lost), or when an acknowledgement is overdue and another path of
   about the same speed is alive: then the probe already leaves there, and the suspect path rests for a while.
+* A path over a bridge is taken where there is no direct one of comparable speed.
 * Acknowledgements go back the way the packets came, so that both directions choose on their own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from udp_mesh.core.carriers import Carrier, Path
 
@@ -48,18 +50,20 @@ class PathState:
 
 
 class Paths:
-    """The carriers on which one peer was heard, at most one address on each."""
+    """The carriers on which one peer was heard, at most one address on each, and on each one behind every link."""
 
-    __slots__ = ("_by_carrier",)
+    __slots__ = ("_by_carrier", "_links")
 
-    def __init__(self) -> None:
-        self._by_carrier: dict[int, PathState] = {}
+    def __init__(self, links: Mapping[int, Carrier] = MappingProxyType({})) -> None:
+        self._by_carrier: dict[tuple[int, int], PathState] = {}
+        self._links = links
 
     def heard(self, path: Path, *, now: float) -> PathState:
         """Note a datagram that came this way; the newest address on a carrier replaces the older one."""
-        state = self._by_carrier.get(path.carrier)
+        key = path.carrier, path.via
+        state = self._by_carrier.get(key)
         if state is None or state.path != path:
-            state = self._by_carrier[path.carrier] = PathState(path, now)
+            state = self._by_carrier[key] = PathState(path, now)
         state.heard_s = now
         return state
 
@@ -73,23 +77,29 @@ class Paths:
 
         ``stale_s``: silence on a path after which it counts as dead.
         """
-        best = self._by_carrier.get(current.carrier)
+        best = self._by_carrier.get((current.carrier, current.via))
         chosen = current
         for state in self._by_carrier.values():
             if state.path == current or state.rests_until_s > now or _is_dead(state, carriers, now - stale_s):
                 continue
-            if best is None or _is_dead(best, carriers, now - stale_s) or _is_clearly_better(state, best, carriers):
+            if (
+                best is None
+                or _is_dead(best, carriers, now - stale_s)
+                or self._is_clearly_better(state, best, carriers)
+            ):
                 best, chosen = state, state.path
         return chosen
 
     def alternative(self, current: Path, carriers: Mapping[int, Carrier], *, stale_s: float, now: float) -> Path | None:
         """Return where to send while the current path does not answer: another of about its speed that is heard."""
-        mine = self._by_carrier.get(current.carrier)
+        mine = self._by_carrier.get((current.carrier, current.via))
         found: PathState | None = None
         for state in self._by_carrier.values():
             if state.path == current or state.rests_until_s > now or _is_dead(state, carriers, now - stale_s):
                 continue
-            if _rate(current, carriers) > CLEARLY_FASTER * _rate(state.path, carriers):
+            if self._rate(current, carriers) > CLEARLY_FASTER * self._rate(state.path, carriers):
+                continue
+            if state.path.via and not current.via:  # a bridge is no answer to one late acknowledgement
                 continue
             if found is None or state.loss_ratio < found.loss_ratio:
                 found = state
@@ -99,22 +109,31 @@ class Paths:
             mine.rests_until_s = now + REST_S
         return found.path
 
-    def describe(self) -> list[tuple[Path, float, float]]:
-        """Return what is known: path, last heard (monotonic seconds), share of its broadcasts that were lost."""
-        return [(state.path, state.heard_s, state.loss_ratio) for state in self._by_carrier.values()]
+    def heard_on(self, carrier: int, *, since_s: float) -> bool:
+        """Whether the peer itself, not a bridge, was heard on a carrier since then."""
+        state = self._by_carrier.get((carrier, 0))
+        return state is not None and state.heard_s >= since_s
+
+    def __iter__(self) -> Iterator[PathState]:
+        """What is known of each path."""
+        return iter(self._by_carrier.values())
+
+    def _rate(self, path: Path, carriers: Mapping[int, Carrier]) -> float:
+        hops = carriers.get(path.carrier), self._links.get(path.via) if path.via else None
+        if hops[0] is None:
+            return 0.0
+        return min(hop.rate_bps or _FASTEST_BPS for hop in hops if hop is not None)
+
+    def _is_clearly_better(self, state: PathState, other: PathState, carriers: Mapping[int, Carrier]) -> bool:
+        own_bps, other_bps = self._rate(state.path, carriers), self._rate(other.path, carriers)
+        if own_bps * CLEARLY_FASTER < other_bps:
+            return False
+        if own_bps > CLEARLY_FASTER * other_bps:
+            return True
+        if bool(state.path.via) != bool(other.path.via):
+            return not state.path.via
+        return state.loss_ratio + CLEARLY_LESS_LOSS < other.loss_ratio
 
 
 def _is_dead(state: PathState, carriers: Mapping[int, Carrier], heard_since_s: float) -> bool:
     return state.path.carrier not in carriers or state.heard_s < heard_since_s
-
-
-def _rate(path: Path, carriers: Mapping[int, Carrier]) -> float:
-    carrier = carriers.get(path.carrier)
-    return carrier.rate_bps or _FASTEST_BPS if carrier is not None else 0.0
-
-
-def _is_clearly_better(state: PathState, other: PathState, carriers: Mapping[int, Carrier]) -> bool:
-    own_bps, other_bps = _rate(state.path, carriers), _rate(other.path, carriers)
-    if own_bps * CLEARLY_FASTER < other_bps:
-        return False
-    return own_bps > CLEARLY_FASTER * other_bps or state.loss_ratio + CLEARLY_LESS_LOSS < other.loss_ratio

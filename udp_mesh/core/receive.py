@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from udp_mesh.core import wire
+from udp_mesh.core.bridge import Bridge
 from udp_mesh.core.congestion import AckSample
 from udp_mesh.core.coordination import HOLD_S
 from udp_mesh.core.events import MessageDelivered, Window
+from udp_mesh.core.links import Links
 from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox
 from udp_mesh.core.peer import Path, Peer
@@ -21,8 +23,10 @@ PROBE_CREDITS = 2
 class Receiver:
     """Takes datagrams; anything that cannot be believed is counted by reason and dropped."""
 
-    def __init__(self, state: NodeState, outbox: Outbox, liveness: Liveness) -> None:
+    def __init__(self, state: NodeState, outbox: Outbox, liveness: Liveness, bridge: Bridge, links: Links) -> None:
         self._state = state
+        self._bridge = bridge
+        self._links = links
         self._outbox = outbox
         self._liveness = liveness
 
@@ -60,8 +64,8 @@ class Receiver:
         acks.record_run(run.packet_number, last, ack_now=run.ack_now, now=now)
         return True
 
-    def datagram(self, data: bytes | memoryview, path: Path, *, now: float) -> None:
-        """Take one datagram; never raises for what is in it."""
+    def datagram(self, data: bytes | memoryview, path: Path, *, sealed: bytes | memoryview = b"", now: float) -> None:
+        """Take one datagram; never raises for what is in it. ``sealed``: as it arrived, if it was sealed."""
         counters = self._state.counters
         counters["datagrams_received"] += 1
         packet = wire.decode(data)
@@ -71,12 +75,21 @@ class Receiver:
         if packet.epoch == self._state.epoch:
             counters["own_datagrams"] += 1  # our broadcasts come back
             return
+        if packet.is_bridged:
+            told = self._links.way(wire.tag_of(packet.epoch), path)
+            if told is None:
+                counters["bridged_untold"] += 1
+                return
+            path = told.way
         peer = self._sender(packet, path, now=now)
         is_for_us = packet.destination_tag in (0, self._state.tag)
         if packet.probes and is_for_us:
             heard = packet.beacons[0].heard if packet.beacons else ()
             self._liveness.on_probe(packet.epoch, packet.probes, heard, path, now=now)
         if peer is None:
+            return
+        if not is_for_us and self._bridge.unicast(sealed or data, packet, peer, path, now=now):
+            self._liveness.heard(peer, path, hears_us=False, now=now)
             return
         if not is_for_us:
             counters["wrong_epoch"] += 1  # meant for who we were before our restart
@@ -86,8 +99,12 @@ class Receiver:
         self._liveness.heard(peer, path, hears_us=hears_us, now=now)
         if packet.backlogs:
             peer.backlog_priority, peer.backlog_until_s = min(packet.backlogs), now + HOLD_S
+        for link in packet.links:
+            self._liveness.on_link(peer, link, path, now=now)
         if packet.is_broadcast:
-            self._liveness.router.on_broadcast(peer, path, packet.packet_number, now=now)
+            if not path.via:
+                self._liveness.router.on_broadcast(peer, path, packet.packet_number, now=now)
+            self._bridge.broadcast(sealed or data, packet, peer, path, now=now)
         elif packet.is_ack_eliciting:
             peer.session.reply_path = path
         if packet.is_unnumbered:

@@ -22,7 +22,7 @@ class Router:
         peer.paths.heard(path, now=now)
         if path == peer.path:
             return
-        if path.carrier == peer.path.carrier or not peer.is_online:
+        if (path.carrier, path.via) == (peer.path.carrier, peer.path.via) or not peer.is_online:
             self._use(peer, path, now=now)
         else:
             self._choose(peer, now=now)

@@ -129,7 +129,7 @@ class Seal:
 
 
 def _decrypt(datagram: memoryview, header: SealHeader, keys: list[bytes], sender: _Sender | None) -> bytes | None:
-    clear, sealed = datagram[: wire_seal.CLEAR_BYTES], datagram[wire_seal.CLEAR_BYTES :]
+    clear, sealed = wire_seal.authenticated(datagram), datagram[wire_seal.CLEAR_BYTES :]
     for key in keys:
         cipher = None if sender is None else sender.ciphers.get(key)
         if cipher is None:

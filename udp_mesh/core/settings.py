@@ -71,6 +71,8 @@ class Settings:
     """Largest datagram, without IP and UDP headers."""
     keys: tuple[bytes, ...] = ()
     """The team's keys of 32 bytes: the first seals, all open. None: datagrams are neither encrypted nor checked."""
+    bridge: bool = False
+    """Whether this node passes on between its carriers what nodes send that cannot hear each other."""
     window: int = 0
     """Packets in flight to one peer; 0 leaves it to congestion control."""
     prioritise: bool = True

@@ -35,6 +35,10 @@ class NodeState:
         self.counters: Counter[str] = Counter()
         self.next_message_id = 0
 
+    def peer_of_tag(self, tag: int) -> Peer | None:
+        """Return the peer whose present epoch has this short form."""
+        return next((peer for epoch, peer in self.by_epoch.items() if wire.tag_of(epoch) == tag), None)
+
     def lane(self, name: str) -> Lane:
         """Return the lane of a known destination."""
         return self.broadcast if name == BROADCAST_NAME else self.peers[name].lane

@@ -68,6 +68,16 @@ class Transmitter:
             peer.was_limited = head is not None and self._coordination.yield_until_s(head, now=now) <= now
         return out
 
+    def most_urgent(self, carrier: int, *, now: float) -> int | None:
+        """Return the priority of the message to a peer that may leave by a carrier now; None if there is none."""
+
+        def may_leave(transfer: Transfer) -> bool:
+            peer = self._state.peers.get(transfer.peer)
+            return peer is not None and peer.path.carrier == carrier and self._gate.may_send(transfer, now=now)
+
+        transfer = self._state.scheduler.pick(may_leave)
+        return None if transfer is None else transfer.message.policy.priority
+
     def _send(self, transfer: Transfer, out: list[Datagram], *, limit: int, now: float) -> int:
         """Build the next packets of a transfer, at most ``limit``; return how many."""
         priority = transfer.message.policy.priority

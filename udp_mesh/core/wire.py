@@ -8,7 +8,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-from udp_mesh.core.packets import Ack, BadDatagram, DataFragment, Dissection, Hello
+from udp_mesh.core.packets import Ack, BadDatagram, DataFragment, Dissection, Hello, Link
+from udp_mesh.core.wire_links import FLAG_BRIDGED, LINK_HEAD, TAG, TYPE_LINK
 
 __all__ = ["Ack", "BadDatagram", "DataFragment", "Dissection", "Hello", "decode", "dissect"]
 
@@ -17,7 +18,7 @@ VERSION = 1
 FLAG_UNNUMBERED = 0x01
 FLAG_ACK_NOW = 0x02
 FLAG_SEALED = 0x04  # frames are encrypted (udp_mesh/core/wire_seal.py)
-_KNOWN_FLAGS = FLAG_UNNUMBERED | FLAG_ACK_NOW
+_KNOWN_FLAGS = FLAG_UNNUMBERED | FLAG_ACK_NOW | FLAG_BRIDGED
 DATA_FLAG_ENVELOPE = 0x01  # the message's payload begins with an envelope (udp_mesh/core/envelope.py)
 _HEADER = struct.Struct("!2sBBQIHI")  # magic, version, flags, sender epoch, destination tag, packet number (48 bits)
 _DATA = struct.Struct(
@@ -28,7 +29,6 @@ _ACK_RANGE = struct.Struct("!HH")  # gap, length
 _HELLO = struct.Struct("!BHHIBB")  # type, beacon interval ms, floor (48 bits), tags, length of the name
 _PROBE = struct.Struct("!BB")  # type, tags
 _BACKLOG = struct.Struct("!BB")  # type, priority
-_TAG = struct.Struct("!I")
 _MESSAGE = struct.Struct("!BHI")  # type (FLOOR or PURGED), message id (48 bits)
 TYPE_DATA, _TYPE_ACK, _TYPE_HELLO, _TYPE_PROBE, _TYPE_PING, _TYPE_FLOOR, _TYPE_PURGED, _TYPE_BACKLOG = range(1, 9)
 
@@ -111,12 +111,12 @@ def encode_hello(*, name: str, beacon_interval_s: float, floor: int, heard: Sequ
     encoded = name.encode()
     interval_ms = max(0, min(0xFFFF, round(beacon_interval_s * 1000)))
     head = _HELLO.pack(_TYPE_HELLO, interval_ms, floor >> 32, floor & _LOW_32, len(heard), len(encoded))
-    return head + b"".join(map(_TAG.pack, heard)) + encoded
+    return head + b"".join(map(TAG.pack, heard)) + encoded
 
 
 def encode_probe(tags: Sequence[int]) -> bytes:
     """Return a frame that asks the nodes with these tags (at most 255) to answer."""
-    return _PROBE.pack(_TYPE_PROBE, len(tags)) + b"".join(map(_TAG.pack, tags))
+    return _PROBE.pack(_TYPE_PROBE, len(tags)) + b"".join(map(TAG.pack, tags))
 
 
 def encode_floor(message_id: int) -> bytes:
@@ -174,13 +174,15 @@ def decode(datagram: _Buffer) -> Dissection | BadDatagram:
         tuple(frames.purged),
         frames.pings,
         tuple(frames.backlogs),
+        bool(flags & FLAG_BRIDGED),
+        tuple(frames.links),
     )
 
 
 class _Frames:
     """Collects the frames of one datagram; raises ``_DecodeError``, ``struct.error`` or ``UnicodeDecodeError``."""
 
-    __slots__ = ("acks", "backlogs", "beacons", "floors", "fragments", "pings", "probes", "purged")
+    __slots__ = ("acks", "backlogs", "beacons", "floors", "fragments", "links", "pings", "probes", "purged")
 
     def __init__(self) -> None:
         self.fragments: list[DataFragment] = []
@@ -191,6 +193,7 @@ class _Frames:
         self.purged: list[int] = []
         self.pings = 0
         self.backlogs: list[int] = []
+        self.links: list[Link] = []
 
     def decode(self, view: memoryview) -> None:
         at, end = HEADER_BYTES, len(view)
@@ -211,6 +214,10 @@ class _Frames:
             elif kind == _TYPE_BACKLOG:
                 self.backlogs.append(_BACKLOG.unpack_from(view, at)[1])
                 at += _BACKLOG.size
+            elif kind == TYPE_LINK:
+                _kind, link, mtu_bytes, rate_bps, rounds, count = LINK_HEAD.unpack_from(view, at)
+                tags, at = _tags(view, at + LINK_HEAD.size, count)
+                self.links.append(Link(link, mtu_bytes, rate_bps, rounds, tags))
             elif kind in (_TYPE_FLOOR, _TYPE_PURGED):
                 _kind, high, low = _MESSAGE.unpack_from(view, at)
                 (self.floors if kind == _TYPE_FLOOR else self.purged).append(high << 32 | low)
@@ -270,7 +277,7 @@ class _Frames:
 
 
 def _tags(view: memoryview, at: int, count: int) -> tuple[tuple[int, ...], int]:
-    end = at + count * _TAG.size
+    end = at + count * TAG.size
     if end > len(view):
         raise _DecodeError(BadDatagram.TRUNCATED)
-    return tuple(tag for (tag,) in _TAG.iter_unpack(view[at:end])), end
+    return tuple(tag for (tag,) in TAG.iter_unpack(view[at:end])), end

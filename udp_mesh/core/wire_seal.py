@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from udp_mesh.core import wire
 from udp_mesh.core.packets import BadDatagram
+from udp_mesh.core.wire_links import FLAG_BRIDGED
 
 TAG_BYTES = 16
 _SEAL = struct.Struct("!BBHI")  # key id, series, number (48 bits)
@@ -55,6 +56,16 @@ def plain_header(datagram: memoryview) -> bytes:
     header = bytearray(datagram[: wire.HEADER_BYTES])
     header[_FLAGS_AT] &= ~wire.FLAG_SEALED
     return bytes(header)
+
+
+def authenticated(datagram: memoryview) -> memoryview | bytes:
+    """Return the clear bytes as the sender has authenticated them: without the mark that a bridge may have added."""
+    clear = datagram[:CLEAR_BYTES]
+    if not clear[_FLAGS_AT] & FLAG_BRIDGED:
+        return clear
+    unmarked = bytearray(clear)
+    unmarked[_FLAGS_AT] &= ~FLAG_BRIDGED
+    return bytes(unmarked)
 
 
 def nonce(number: int) -> bytes:
