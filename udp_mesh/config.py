@@ -27,9 +27,6 @@ from udp_mesh.core import wire
 from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
 
-NOT_YET: tuple[str, ...] = ("bridge",)
-NOT_YET_TOPIC: tuple[str, ...] = ()
-
 
 class ConfigError(Exception):
     """A configuration is wrong; ``problems`` lists every mistake as ``file: key: what is wrong; what to do``."""
@@ -54,6 +51,8 @@ class Config:
     neighbours: tuple[Neighbour, ...] | None = None
     """Addresses (IPv4, IPv6, MAC) to which everything for all goes one by one. Given, also as an empty list, nothing
     is ever broadcast but on serial lines; who is not listed and sends to this node is answered."""
+    bridge: bool = False
+    """Whether this node passes on between its carriers what nodes send that cannot hear each other."""
     payload_bytes: int = 1400
     """Largest datagram, without IP and UDP headers, 256..65000; all of the path must carry it."""
     window: int = 0
@@ -96,6 +95,7 @@ class Config:
             name=self.name,
             payload_bytes=self.payload_bytes,
             keys=self.key,
+            bridge=self.bridge,
             window=self.window,
             prioritise=self.prioritise,
             probe=self.probe,
@@ -123,7 +123,7 @@ class Config:
 
 
 RUNTIME_KEYS = (
-    *("payload_bytes", "key", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes"),
+    *("bridge", "payload_bytes", "key", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes"),
     *("floor", "coordinate", "beacon_share", "channel_bps"),
 )
 
@@ -162,7 +162,7 @@ def parse(table: Mapping[str, object], *, source: str) -> Config:
         ConfigError: With every mistake.
     """
     problems: list[str] = []
-    values = _values(table, _CHECKS, NOT_YET, prefix=f"{source}: ", skip=("topics",), problems=problems)
+    values = _values(table, _CHECKS, prefix=f"{source}: ", skip=("topics",), problems=problems)
     topics: dict[str, TopicPolicy] = {}
     tables = table.get("topics", {})
     if isinstance(tables, dict):
@@ -193,7 +193,7 @@ def change(config: Config, key: str, text: str) -> Config:
         policy = _topic(name, {setting: value}, "config set", problems, base=config.topics.get(name, TopicPolicy()))
         changed = replace(config, topics={**config.topics, name: policy})
     elif key in RUNTIME_KEYS:
-        values = _values({key: value}, _CHECKS, NOT_YET, prefix="config set: ", skip=(), problems=problems)
+        values = _values({key: value}, _CHECKS, prefix="config set: ", skip=(), problems=problems)
         changed = replace(config, **values)  # type: ignore[arg-type]
     else:
         known = ", ".join(RUNTIME_KEYS)
@@ -211,14 +211,13 @@ def _topic(name: str, entry: object, source: str, problems: list[str], base: Top
     if not isinstance(entry, dict):
         problems.append(f"{source}: topics.{name}: has to be a table")
         return base
-    values = _values(entry, _TOPIC_CHECKS, NOT_YET_TOPIC, prefix=prefix, skip=(), problems=problems)
+    values = _values(entry, _TOPIC_CHECKS, prefix=prefix, skip=(), problems=problems)
     return replace(base, **values)  # type: ignore[arg-type]
 
 
 def _values(
     table: Mapping[str, object],
     checks: Mapping[str, config_checks.Check],
-    not_yet: tuple[str, ...],
     *,
     prefix: str,
     skip: tuple[str, ...],
@@ -232,8 +231,6 @@ def _values(
             except ValueError as error:
                 found = "" if key == "key" else f", not {value!r}"  # a secret does not belong into a log
                 problems.append(f"{prefix}{key}: {error}{found}")
-        elif key in not_yet:
-            problems.append(f"{prefix}{key}: not available yet; remove it")
         elif key not in skip:
             known = ", ".join([*checks, *skip])
             problems.append(f"{prefix}{key}: unknown key; known are {known}")
@@ -246,6 +243,7 @@ _CHECKS: dict[str, config_checks.Check] = {
     "interfaces": config_checks.interfaces,
     "carriers": config_carriers.check,
     "neighbours": config_neighbours.check,
+    "bridge": config_checks.boolean,
     "key": config_checks.key,
     "payload_bytes": config_checks.number(256, 65000, whole=True),
     "window": config_checks.number(0, 100_000, whole=True),

@@ -146,12 +146,20 @@ def reach(scenario: Scenario, plan: LabPlan, node: str) -> set[str]:
     if node not in at_rest:
         return set()
     if kind is None:
-        return (neighbours(plan, node) | _over_radio_mesh(plan, node)) & at_rest
+        direct = neighbours(plan, node) & at_rest
+        return direct | (_over_radio_mesh(plan, node) | _over_bridges(scenario, plan, node, direct)) & at_rest
     found, new = {node}, {node}
     while new:
         new = {name for known in new for name in neighbours(plan, known) if scenario.meshes[name] is kind}
         new = (new & at_rest) - found
         found |= new
+    return found - {node}
+
+
+def _over_bridges(scenario: Scenario, plan: LabPlan, node: str, direct: set[str]) -> set[str]:
+    """Nodes on the other segments of those bridges that are among the neighbours of ``node``."""
+    bridges = direct & set(scenario.bridge_nodes)
+    found = {other for x in bridges for other in neighbours(plan, x) if scenario.bridges(x, node, other)}
     return found - {node}
 
 

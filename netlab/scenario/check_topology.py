@@ -62,8 +62,12 @@ def _neighbours(scenario: Scenario, names: Names) -> Iterator[Problem]:
             path: Path = ("nodes", node, "udp_mesh", "neighbours", position)
             if complaint := names.complaint(name):
                 yield path, complaint
-            elif name in scenario.nodes and name != node and names.certain and not scenario.reaches(node, name):
+            elif name in scenario.nodes and name != node and names.certain and not _is_next_to(scenario, node, name):
                 yield path, f"'{node}' and '{name}' {why_apart(scenario, node, name)}"
+
+
+def _is_next_to(scenario: Scenario, a: str, b: str) -> bool:
+    return bool(scenario.joined(a, b)) if scenario.meshes[a] is None else scenario.reaches(a, b)
 
 
 def _node_names(scenario: Scenario) -> Iterator[Problem]:

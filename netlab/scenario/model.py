@@ -104,13 +104,26 @@ class Scenario(StrictModel):
         return {name: None if word == "none" else MeshKind(word) for name, word in words.items()}
 
     def reaches(self, a: str, b: str) -> bool:
-        """Whether messages can go between two nodes while nothing is cut: directly, or routed by their mesh.
+        """Whether messages can go between two nodes while nothing is cut: directly, bridged, or routed by their mesh.
 
         Radios count as in range, as in :meth:`joined`.
         """
         if not same_mesh(self.meshes, a, b):
             return False
-        return bool(self.joined(a, b)) if self.meshes[a] is None else self._mesh_parts[a] == self._mesh_parts[b]
+        if self.meshes[a] is not None:
+            return self._mesh_parts[a] == self._mesh_parts[b]
+        return bool(self.joined(a, b)) or any(self.bridges(x, a, b) for x in self.bridge_nodes)
+
+    @cached_property
+    def bridge_nodes(self) -> tuple[str, ...]:
+        """The nodes whose udp_mesh passes on between its carriers."""
+        names = (name for name, node in self.nodes.items() if node.process("udp_mesh") and self.meshes[name] is None)
+        return tuple(name for name in names if self.mesh_settings(name).get("bridge"))
+
+    def bridges(self, bridge: str, a: str, b: str) -> bool:
+        """Whether a bridge has two nodes on different media: two wires, or a wire and its radio."""
+        media = self.joined(a, bridge), self.joined(bridge, b)
+        return bridge not in (a, b) and all(media) and media != (("radio",), ("radio",))
 
     @cached_property
     def _mesh_parts(self) -> Mapping[str, Hashable]:

@@ -113,7 +113,7 @@ class MeshSettings(StrictModel):
     coordinate: Switch | None = None
     floor: Annotated[float, Quantity(RATIO, maximum=0.5)] | None = None
     key: Annotated[TeamKey | tuple[TeamKey, ...], BeforeValidator(_quoted_key)] | None = None
-    bridge: NotYet = None
+    bridge: Switch | None = None
     neighbours: tuple[str, ...] | None = None
 
     def daemon_config(self) -> dict[str, Any]:

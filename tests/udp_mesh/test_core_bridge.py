@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 from itertools import pairwise
 from typing import Any
 
@@ -11,67 +10,10 @@ import pytest
 from udp_mesh.core import wire
 from udp_mesh.core.carriers import Path
 from udp_mesh.core.events import MessageAcked, MessageDropped, MessageQueued, PeerDown, PeerUp
-from udp_mesh.core.mesh import Datagram
 
 KEY = bytes(range(32))
 RADIO, SERIAL, OTHER = 0, 1, 2
-SERIAL_MTU_BYTES = 244
 SERIAL_BPS = 5000.0
-FACTS: dict[int, dict[str, float]] = {
-    RADIO: {},
-    SERIAL: {"mtu_bytes": SERIAL_MTU_BYTES, "rate_bps": SERIAL_BPS},
-    OTHER: {},
-}
-FRAMING_BYTES = 11
-
-
-@pytest.fixture
-def places(make_net: type[Any]) -> type[Any]:
-    """A network class in which a node hears only those who share a carrier with it; a serial line is shared by all."""
-
-    class Places(make_net):  # type: ignore[misc]
-        def __init__(self, where: dict[str, tuple[int, ...]], **link: float) -> None:
-            super().__init__(**{"delay_s": 0.005, **link})
-            self.where = where
-            self.keep_datagrams = True
-            self.cut: set[tuple[str, int]] = set()
-            self.line_free_at_s = 0.0
-
-        def add(self, name: str, **settings: object) -> Any:
-            core = super().add(name, **settings)
-            core.remove_carrier(0)
-            for index in self.where[name]:
-                core.add_carrier(index, **FACTS[index])
-            return core
-
-        def start(self, *bridges: str, **settings: object) -> None:
-            for name in self.where:
-                self.add(name, bridge=name in bridges, **settings)
-
-        def _send(self, sender: str, datagram: Datagram) -> None:
-            index = datagram.path.carrier
-            assert index in self.where[sender]
-            assert len(datagram.data) <= FACTS[index].get("mtu_bytes", 1400)
-            self.sent[sender].append((self.now, datagram))
-            if index == SERIAL:
-                airtime_s = 8 * (len(datagram.data) + FRAMING_BYTES) / SERIAL_BPS
-                self.line_free_at_s = max(self.line_free_at_s, self.now) + airtime_s
-            for name in self.cores:
-                if name == sender or index not in self.where[name] or datagram.path.address not in ("", name):
-                    continue
-                if {(name, index), (sender, index)} & self.cut or self.rng.random() < self.links[
-                    sender, name
-                ].loss_ratio:
-                    continue
-                at_s = (self.line_free_at_s if index == SERIAL else self.now) + self.links[sender, name].delay_s
-                self._order += 1
-                heapq.heappush(self._in_air, (at_s, self._order, name, datagram.data, Path(index, sender)))
-
-        def meet(self, timeout_s: float = 20.0) -> None:
-            super().meet(timeout_s)
-
-    return Places
-
 
 LINE = {"rover": (RADIO,), "bridge": (RADIO, SERIAL), "sensor": (SERIAL,)}
 
@@ -177,12 +119,12 @@ def test_who_returns_behind_the_bridge_is_found_at_once(places: type[Any]) -> No
     net.meet()
     net.publish("rover", "t", b"before", to="sensor")
     net.run(5.0)
-    net.cut.add(("sensor", SERIAL))
+    net.deaf.add(("sensor", SERIAL))
     net.publish("rover", "t", b"in the outage", to="sensor")
     net.run(20.0)
     assert [event.peer for event in net.of("rover", PeerDown)] == ["sensor"]
     back_at_s = net.now
-    net.cut.clear()
+    net.deaf.clear()
     net.run(30.0)
     before, after = net.delivered("sensor")
     assert (before.payload, after.payload) == (b"before", b"in the outage")
@@ -263,12 +205,12 @@ def test_who_hears_a_node_itself_does_not_use_the_bridge(places: type[Any]) -> N
     net.run(5.0)
     assert len(net.delivered("b")) == 2
     assert net.cores["bridge"].stats().get("bridge_passed", 0) == 0
-    net.cut |= {("a", RADIO), ("b", OTHER)}  # now only the bridge hears both
+    net.deaf |= {("a", RADIO), ("b", OTHER)}  # now only the bridge hears both
     net.publish("a", "t", bytes(5000), to="b")
     net.run(10.0)
     assert len(net.delivered("b")) == 3
     assert net.cores["bridge"].stats()["bridge_passed"] > 0
-    net.cut.clear()
+    net.deaf.clear()
     net.run(10.0)
     before = net.cores["bridge"].stats()["bridge_passed"]
     net.publish("a", "t", bytes(5000), to="b")

@@ -17,6 +17,7 @@ from udp_mesh.core.packets import BadDatagram
 from udp_mesh.core.replay import WINDOW, ReplayWindow
 from udp_mesh.core.seal import Opened, Seal
 from udp_mesh.core.settings import Settings
+from udp_mesh.core.wire_links import mark_bridged
 
 KEY, OTHER_KEY, THIRD_KEY = bytes(range(32)), bytes(range(1, 33)), bytes(range(2, 34))
 EPOCH = 0x1122334455667788
@@ -101,10 +102,18 @@ def test_a_foreign_key_a_changed_byte_and_a_plain_datagram_are_told_apart() -> N
 
 
 @given(st.integers(3, len(SEALED) - 1), st.integers(1, 255))
-def test_no_byte_can_be_changed(at: int, mask: int) -> None:
+def test_no_byte_can_be_changed_but_for_the_mark_of_a_bridge(at: int, mask: int) -> None:
     changed = bytearray(SEALED)
     changed[at] ^= mask
-    assert isinstance(opened(Seal([KEY], epoch=1), bytes(changed)), BadDatagram)
+    result = opened(Seal([KEY], epoch=1), bytes(changed))
+    assert isinstance(result, BadDatagram) != (bytes(changed) == mark_bridged(SEALED))
+
+
+def test_what_a_bridge_passes_on_opens_and_tells_so_and_counts_as_the_same() -> None:
+    receiver = Seal([KEY], epoch=1)
+    assert opened(receiver, mark_bridged(SEALED)) == mark_bridged(PLAIN)
+    receiver.believe(EPOCH)
+    assert opened(receiver, SEALED) is BadDatagram.REPLAYED
 
 
 @given(st.binary(max_size=120), st.booleans())

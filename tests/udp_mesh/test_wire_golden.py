@@ -7,10 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from udp_mesh.core import wire
+from udp_mesh.core.packets import Link
+from udp_mesh.core.wire_links import encode_link, mark_bridged
 
 HEADER = "754d 01 02 1122334455667788 00000007 000a00000000"
 DATA = "01 00 09 0005 000000000003 0000 0002 01 74 616263"
 ACK = "02 000000000009 00000001 00000002 0004 01 0000 0002"
+LINK = "10 01 00f4 00001388 02 02 00000003 00000004"
 HELLO = "03 03e8 000000000004 02 04 00000001 00000002 62617365"
 
 
@@ -32,14 +35,20 @@ def test_every_frame_has_the_documented_bytes() -> None:
     assert wire.encode_floor(0x010000000002) == bytes.fromhex("06 010000000002")
     assert wire.encode_backlog(3) == bytes.fromhex("08 03")
     assert wire.encode_purged(2) == bytes.fromhex("07 000000000002")
+    assert encode_link(Link(1, 244, 5000, 2, (3, 4))) == bytes.fromhex(LINK)
+    assert encode_link(Link(255, 1 << 20, 1 << 40, 1000, ())) == bytes.fromhex("10 ff ffff ffffffff ff 00")
+    assert mark_bridged(bytes.fromhex(HEADER)) == bytes.fromhex(HEADER.replace(" 02 ", " 0a ", 1))
 
 
 def test_a_datagram_of_all_frames_is_dissected() -> None:
     frames = (
         HEADER + DATA + ACK + HELLO + "04 02 00000000 00000003" + "05" + "06 000000000002" + "07 000000000008" + "08 03"
     )
-    packet = wire.dissect(bytes.fromhex(frames))
+    packet = wire.dissect(bytes.fromhex(frames + LINK))
+    bridged = wire.dissect(mark_bridged(bytes.fromhex(frames + LINK)))
     assert packet is not None
+    assert bridged == packet._replace(is_bridged=True)
+    assert packet.links == (Link(1, 244, 5000, 2, (3, 4)),)
     assert (packet.epoch, packet.destination_tag, packet.packet_number) == (0x1122334455667788, 7, 0xA00000000)
     assert packet.ack_now
     assert not packet.is_broadcast
@@ -68,6 +77,7 @@ def test_a_datagram_of_all_frames_is_dissected() -> None:
         (HEADER + DATA.replace("01 74", "09 74"), wire.BadDatagram.VALUE),  # topic longer than the frame
         (HEADER + DATA.replace("01 74", "01 ff"), wire.BadDatagram.VALUE),  # not UTF-8
         (HEADER + ACK.replace("0004 01", "ffff 01"), wire.BadDatagram.VALUE),  # below packet 0
+        (HEADER + LINK[:-2], wire.BadDatagram.TRUNCATED),
         (HEADER + HELLO.replace("02 04", "02 05"), wire.BadDatagram.TRUNCATED),
         (HEADER + HELLO.replace("62617365", "62610a65"), wire.BadDatagram.VALUE),  # a line feed in a name
     ],
@@ -86,7 +96,7 @@ def test_any_bytes_are_dissected_without_an_exception(data: bytes) -> None:
 
 @given(st.data())
 def test_a_damaged_datagram_is_dissected_without_an_exception(data: st.DataObject) -> None:
-    whole = bytearray(bytes.fromhex(HEADER + HELLO + ACK + DATA))
+    whole = bytearray(bytes.fromhex(HEADER + HELLO + LINK + ACK + DATA))
     for _ in range(data.draw(st.integers(1, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     wire.dissect(bytes(whole[: data.draw(st.integers(0, len(whole)))]))
