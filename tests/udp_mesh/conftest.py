@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.udp_mesh.bridge_places import places_class
 from udp_mesh.core import events, wire
 from udp_mesh.core.mesh import Datagram, MeshCore, Path, PeerStatus, new_epoch
 from udp_mesh.core.settings import Settings
@@ -270,60 +271,7 @@ def make_net() -> type[Net]:
     return Net
 
 
-class Places(Net):
-    """A network in which a node hears only those who share a carrier with it; who has carrier 1 shares a slow line."""
-
-    serial, serial_bps, framing_bytes = 1, 5000.0, 11
-    facts: dict[int, dict[str, Any]] = {0: {}, 1: {"mtu_bytes": 244, "rate_bps": 5000.0}, 2: {}}  # noqa: RUF012
-
-    def __init__(self, where: dict[str, tuple[int, ...]], **link: float) -> None:
-        super().__init__(**{"delay_s": 0.005, **link})  # type: ignore[arg-type]
-        self.where = where
-        self.keep_datagrams = True
-        self.deaf: set[tuple[str, int]] = set()
-        self._line_free_at_s = 0.0
-
-    def add(self, name: str, **settings: Any) -> MeshCore:
-        core = super().add(name, **settings)
-        core.remove_carrier(0)
-        for index in self.where[name]:
-            core.add_carrier(index, **self.facts[index])
-        return core
-
-    def start(self, *bridges: str, **settings: object) -> None:
-        """Start every node, these as bridges."""
-        for name in self.where:
-            self.add(name, bridge=name in bridges, **settings)
-
-    def meet(self, timeout_s: float = 20.0) -> None:
-        super().meet(timeout_s)
-
-    def _send(self, sender: str, datagram: Datagram) -> None:
-        index = datagram.path.carrier
-        assert index in self.where[sender]
-        assert len(datagram.data) <= self.facts[index].get("mtu_bytes", 1400)
-        self.sent[sender].append((self.now, datagram))
-        if index == self.serial:
-            airtime_s = 8 * (len(datagram.data) + self.framing_bytes) / self.serial_bps
-            self._line_free_at_s = max(self._line_free_at_s, self.now) + airtime_s
-        for name in self.cores:
-            if name == sender or index not in self.where[name] or datagram.path.address not in ("", name):
-                continue
-            if not {(name, index), (sender, index)} & self.deaf:
-                self._transmit_by(index, sender, name, datagram.data)
-
-    def _transmit_by(self, index: int, sender: str, receiver: str, data: bytes) -> None:
-        link = self.links[sender, receiver]
-        if self.rng.random() < link.loss_ratio:
-            return
-        starts_s = self._line_free_at_s if index == self.serial else self.now
-        for _ in range(2 if self.rng.random() < link.duplicate_ratio else 1):
-            self._order += 1
-            at_s = starts_s + link.delay_s + self.rng.random() * link.jitter_s
-            heapq.heappush(self._in_air, (at_s, self._order, receiver, data, Path(index, sender)))
-
-
 @pytest.fixture(scope="session")
-def places() -> type[Places]:
-    """The class, for tests of bridges."""
-    return Places
+def places() -> type[Net]:
+    """The class of networks with several carriers, for tests of bridges."""
+    return places_class(Net)
