@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from udp_mesh.core.keys import KEY_BYTES
+from udp_mesh.core.peer_status import PathStatus
 
 if TYPE_CHECKING:
     from udp_mesh.client import Client, Fate, PublishOptions
@@ -178,7 +179,15 @@ def _table(client: Client) -> str:
             f"{peer.name:<20} {state:<8} {peer.address:<16} {rtt:>9} {rate:>12}"
             f" {peer.queue_delay_s * 1e3:>9.1f} ms {peer.queued_messages:>8}"
         )
+        lines += map(_path, peer.paths if len(peer.paths) > 1 or any(path.via for path in peer.paths) else ())
     return "\n".join(lines)
+
+
+def _path(path: PathStatus) -> str:
+    marks = "in use" if path.in_use else "known"
+    way = f"{path.address} (bridge {path.via})" if path.via else path.address
+    rate = f", {path.rate_bps / 1e3:g} kbit/s" if path.rate_bps else ""
+    return f"  {marks:<18} {way}, heard {path.silent_for_s:.1f} s ago, {path.loss_ratio:.0%} lost{rate}"
 
 
 def _stats(client: Client, arguments: argparse.Namespace) -> int:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import Any, TypedDict
 
-from udp_mesh.core.peer_status import PeerStatus
+from udp_mesh.core.peer_status import PathStatus, PeerStatus
 from udp_mesh.core.settings import Keep, Offline, Reliability
 from udp_mesh.local_wire import Overrides
 
@@ -89,7 +89,11 @@ def result_of(answer: dict[str, object]) -> object:
 
 def peers_of(result: object) -> list[PeerInfo]:
     """Return an answer about peers, typed."""
-    return [PeerInfo(**entry) for entry in result] if isinstance(result, list) else []
+    return [_peer_of(entry) for entry in result] if isinstance(result, list) else []
+
+
+def _peer_of(entry: dict[str, Any]) -> PeerInfo:
+    return PeerInfo(**{**entry, "paths": tuple(PathStatus(**path) for path in entry.get("paths", ()))})
 
 
 def table_of(result: object) -> dict[str, object]:

@@ -21,6 +21,7 @@ from udp_mesh.core.liveness import Liveness
 from udp_mesh.core.outbox import Outbox, Refused
 from udp_mesh.core.peer import Path
 from udp_mesh.core.peer_status import PeerStatus
+from udp_mesh.core.peer_view import peer_status
 from udp_mesh.core.receive import Receiver
 from udp_mesh.core.settings import Settings, TopicPolicy
 from udp_mesh.core.state import NodeState
@@ -241,22 +242,7 @@ class MeshCore:
 
     def peers(self, *, now: float) -> list[PeerStatus]:
         """Return the state of every node ever heard in this epoch."""
-        return [
-            PeerStatus(
-                name=peer.name,
-                online=peer.is_online,
-                carrier=peer.path.carrier,
-                address=peer.path.address,
-                silent_for_s=now - peer.last_heard_s,
-                srtt_s=peer.session.rtt.srtt_s if peer.session.rtt.has_sample else None,
-                rate_bps=peer.congestion.rate_bps,
-                cwnd_bytes=peer.congestion.cwnd_bytes,
-                queue_delay_s=peer.congestion.queue_delay_s,
-                queued_messages=len(peer.lane.transfers),
-                queued_bytes=sum(t.message.size_bytes for t in peer.lane.transfers.values()),
-            )
-            for peer in self._state.peers.values()
-        ]
+        return [peer_status(self._state, peer, now=now) for peer in self._state.peers.values()]
 
     def stats(self) -> dict[str, int]:
         """Return all counters since the start; drops and refusals by reason."""
