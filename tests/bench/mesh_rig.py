@@ -1,7 +1,8 @@
 """Two cores of udp_mesh over the lab's own medium, in virtual time and one process: a minute of mission in seconds.
 
 The medium is that of the ``air`` engine (netem's order: loss, then the queue, then rate and delay). Nodes and the
-medium may be stalled: what reaches them meanwhile waits, as it does in a socket whose process does not run.
+medium may be stalled: what reaches them meanwhile waits, as it does in a socket whose process does not run. That socket
+may be small: what it has no room for is lost.
 """
 
 from __future__ import annotations
@@ -43,7 +44,14 @@ class Node:
 class Rig:
     """Nodes ``a`` and ``b`` and the wire between them; time begins at 0."""
 
-    def __init__(self, *, seed: int, stalls: dict[str, Stalls] | None = None, **settings: object) -> None:
+    def __init__(
+        self,
+        *,
+        seed: int,
+        stalls: dict[str, Stalls] | None = None,
+        socket_bytes: float = float("inf"),
+        **settings: object,
+    ) -> None:
         rng = Random(seed)
         self.now = 0.0
         self.rng = rng
@@ -51,6 +59,8 @@ class Rig:
         self.frames = 0
         self.frame_bytes = 0
         self.queued: list[tuple[float, Verdict]] = []
+        self.socket_bytes = socket_bytes
+        self.socket_drops = 0
         self._heap: list[tuple[float, int, Callable[[], None]]] = []
         self._order = 0
         self._medium_stalls = (stalls or {}).get("medium", ())
@@ -162,6 +172,9 @@ class Rig:
                 )  # type: ignore[misc]
 
     def _arrive(self, node: Node, data: bytes) -> None:
+        if sum(map(len, node.waiting)) + len(data) > self.socket_bytes:
+            self.socket_drops += 1
+            return
         node.waiting.append(data)
         self.at(node.stalled_until(self.now), lambda: self._turn(node))
 
@@ -216,10 +229,11 @@ def saturate(
     telemetry_bytes: int = 200,
     bulk_bytes: int = 200_000,
     stalls: dict[str, Stalls] | None = None,
+    socket_bytes: float = float("inf"),
     **settings: object,
 ) -> Outcomes:
     """Bulk fills the wire from a to b while telemetry goes the same way."""
-    rig = Rig(seed=seed, stalls=stalls, **settings)
+    rig = Rig(seed=seed, stalls=stalls, socket_bytes=socket_bytes, **settings)
     rig.shape(link)
     rig.meet()
     begin_s, published = rig.now, {}
