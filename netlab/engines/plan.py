@@ -156,7 +156,7 @@ def _radio_address(place: int) -> str:
 def _wifi(radio: Radio | None) -> Wifi | None:
     if radio is None or radio.driver != "hwsim":
         return None
-    return Wifi(WifiMode(radio.mode), radio.network, radio.frequency_mhz, radio.retry_limit, radio.monitor)
+    return Wifi(WifiMode(radio.mode), radio.network, radio.hwsim_frequency_mhz, radio.retry_limit, radio.monitor)
 
 
 def _channel(radio: Radio | None) -> ChannelSpec | None:

@@ -8,6 +8,8 @@ from enum import Enum
 from netlab.scenario.document import Path
 from netlab.scenario.model import Scenario
 from netlab.scenario.problems import Problem
+from netlab.scenario.radio import HWSIM_CHANNELS_MHZ
+from netlab.scenario.radio_physics import RadioEnds
 from netlab.scenario.words import Words
 
 #: 802.11 has no such thing between two radios: a damaged frame fails its checksum and is lost, a second copy is
@@ -17,12 +19,18 @@ WORDS_NOT_FOR_WIFI = ("duplicate", "reorder", "corrupt")
 WORDS_NOT_FOR_CHANNEL = {"rate_bps": "rate", "limit": "limit"}
 _RSSI_BELONGS = "rssi belongs to 802.11 radios (radio: phy, or driver: hwsim); remove it"
 
+_NO_HWSIM_CHANNEL = (
+    "is not the centre of a channel that may be used here; use 2412MHz to 2462MHz in steps of 5MHz, "
+    "5180, 5200, 5220 or 5240MHz, or 5745MHz to 5825MHz in steps of 20MHz"
+)
+
 
 def check_radio(scenario: Scenario) -> Iterator[Problem]:
     """Yield every word that what it speaks of cannot obey."""
     kind = _kind(scenario)
     if kind is _Kind.CHANNEL and scenario.engine == "netem":
         yield ("engine",), "radios with a phy share airtime, which no qdisc can express; use air, or auto"
+    yield from _waves(scenario)
     for index, link in enumerate(scenario.links):
         yield from _complaints(link, ("links", index), _Kind.PLAIN)
     if scenario.radio is not None:
@@ -38,6 +46,21 @@ def check_radio(scenario: Scenario) -> Iterator[Problem]:
         if change is not None and all(name in scenario.nodes for name in change.ends):
             over = change.over or next(iter(scenario.joined(*change.ends)), None)
             yield from _complaints(change, ("events", index, "link"), kind if over == "radio" else _Kind.PLAIN)
+
+
+def _waves(scenario: Scenario) -> Iterator[Problem]:
+    """What radios say of power, frequency and antennas, where it has a meaning."""
+    radio = scenario.radio
+    physics = None if radio is None else radio.propagation.physics
+    if radio is not None and radio.driver == "hwsim" and (radio.frequency_hz or 2412e6) / 1e6 not in HWSIM_CHANNELS_MHZ:
+        yield ("radio", "frequency"), f"{radio.hwsim_frequency_mhz}MHz {_NO_HWSIM_CHANNEL}"
+    if radio is not None and physics is not None and physics.needs_terrain and scenario.terrain is None:
+        what = f"model {radio.propagation.model} is about tunnels, and there are none"
+        yield ("radio", "propagation", "model"), f"{what}; add terrain, or use log_distance"
+    for name, node in scenario.nodes.items():
+        if isinstance(node.radio, RadioEnds) and physics is None:
+            what = "a radio of its own means nothing here" if radio is not None else "there is no radio"
+            yield ("nodes", name, "radio"), f"{what}; give radio: a propagation model that goes by positions"
 
 
 class _Kind(Enum):

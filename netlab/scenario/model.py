@@ -73,7 +73,7 @@ class Scenario(StrictModel):
     @property
     def radio_nodes(self) -> tuple[str, ...]:
         """The nodes with a radio, in order."""
-        return tuple(name for name, node in self.nodes.items() if node.radio is None) if self.radio else ()
+        return tuple(name for name, node in self.nodes.items() if node.radio != "none") if self.radio else ()
 
     @property
     def at_rest(self) -> tuple[str, ...]:
@@ -89,7 +89,7 @@ class Scenario(StrictModel):
         media: list[Literal["wire", "radio"]] = []
         if frozenset((a, b)) in self._wired:
             media.append("wire")
-        if self.radio is not None and all(self.nodes[name].radio is None for name in (a, b)):
+        if self.radio is not None and all(self.nodes[name].radio != "none" for name in (a, b)):
             media.append("radio")
         return tuple(media)
 

@@ -23,7 +23,7 @@ from netlab.scenario.quantities import (
     PositiveSeconds,
     Quantity,
 )
-from netlab.scenario.radio import node_radio
+from netlab.scenario.radio import NodeRadio
 from netlab.scenario.rate_limit import RateLimit
 
 BUILTIN_PROCESSES = ("udp_mesh",)
@@ -203,7 +203,7 @@ class Node(StrictModel):
     carried_by: NodeName | None = None
     processes: tuple[Process, ...] = ()
     udp_mesh: MeshSettings | None = None
-    radio: Annotated[Literal["none"], BeforeValidator(node_radio), WithJsonSchema({"const": "none"})] | None = None
+    radio: NodeRadio | None = None
     mesh: MeshWord | None = None
     batman_adv: BatmanSettings | None = None
     flood: FloodSettings | None = None

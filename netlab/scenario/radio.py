@@ -1,117 +1,39 @@
-"""The radio block: which radios hear one another, with which words, as constants or as a measured trace over time."""
+"""The radio block: which radios hear one another: as constants, by a measured trace, or by where they are."""
 
 from __future__ import annotations
 
-import csv
-import io
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, WithJsonSchema, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetJsonSchemaHandler,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    WithJsonSchema,
+    model_validator,
+)
 from pydantic_core import CoreSchema
 
-from netlab.scenario.base import NotYet, Problems, StrictModel, Switch, not_yet, suggestion
+from netlab.scenario.base import NotYet, StrictModel, Switch, suggestion
+from netlab.scenario.link_trace import LinkTraceFile
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import FREQUENCY, POWER, Quantity, describe
-from netlab.scenario.words import Words, read_file
+from netlab.scenario.quantities import POWER, Quantity, describe
+from netlab.scenario.radio_physics import (
+    DEFAULT_TX_POWER_DBM,
+    MODEL_NAMES,
+    AntennaWords,
+    Carrier,
+    RadioEnds,
+    TransmitPower,
+    is_physical,
+    model_schemas,
+    propagation_model,
+)
+from netlab.scenario.words import Words
 
-TRACE_COLUMNS = ("at_s", "from", "to", "loss_percent", "delay_ms", "rate_mbit")
-_LATER_MODELS = ("free_space", "log_distance", "tunnel", "subt")
-_MOST_TRACE_PROBLEMS = 20
-
-
-@dataclass(frozen=True, slots=True)
-class TraceRow:
-    """From ``at_s`` on, this is how ``sender`` reaches ``receiver``; None leaves the word as it was before.
-
-    ``loss_ratio`` 1 means out of range. ``line`` is the row's line in the file, for messages.
-    """
-
-    at_s: float
-    sender: str
-    receiver: str
-    loss_ratio: float | None
-    delay_s: float | None
-    rate_bps: float | None
-    line: int
-
-
-@dataclass(frozen=True, slots=True)
-class LinkTrace:
-    """A measured trace: the file's name as the scenario gives it, and its rows by time."""
-
-    name: str
-    rows: tuple[TraceRow, ...]
-
-
-def parse_link_trace(name: str, text: str) -> LinkTrace:
-    """Read a CSV trace with the columns ``TRACE_COLUMNS``; lines that begin with # are comments, empty cells keep.
-
-    Raises:
-        Problems: One text per wrong line, with the file's name and the line.
-    """
-    problems: list[str] = []
-    rows: list[TraceRow] = []
-    header: list[str] | None = None
-    for number, cells in enumerate(csv.reader(io.StringIO(text)), start=1):
-        if not cells or cells[0].lstrip().startswith("#"):
-            continue
-        stripped = [cell.strip() for cell in cells]
-        if header is None:
-            header = stripped
-            if header != list(TRACE_COLUMNS):
-                raise Problems([f"{name}:{number}: the columns must be {','.join(TRACE_COLUMNS)}"])
-            continue
-        try:
-            rows.append(_trace_row(stripped, number))
-        except ValueError as error:
-            problems.append(f"{name}:{number}: {error}")
-    if header is None:
-        problems.append(f"{name}: the file is empty; it needs the columns {','.join(TRACE_COLUMNS)}")
-    if problems:
-        raise Problems(problems[:_MOST_TRACE_PROBLEMS])
-    return LinkTrace(name, tuple(sorted(rows, key=lambda row: row.at_s)))
-
-
-def _trace_row(cells: list[str], line: int) -> TraceRow:
-    if len(cells) != len(TRACE_COLUMNS):
-        raise ValueError(f"{len(cells)} cells; there must be {len(TRACE_COLUMNS)}")
-    at_s, sender, receiver, loss_percent, delay_ms, rate_mbit = cells
-    loss = _cell("loss_percent", loss_percent, 100.0)
-    delay = _cell("delay_ms", delay_ms)
-    rate = _cell("rate_mbit", rate_mbit)
-    at = _cell("at_s", at_s)
-    if at is None:
-        raise ValueError("at_s is empty; give the time in seconds")
-    if rate == 0:
-        raise ValueError("rate_mbit 0 is impossible; leave the cell empty, or give loss_percent 100 for out of range")
-    return TraceRow(
-        at_s=at,
-        sender=sender,
-        receiver=receiver,
-        loss_ratio=None if loss is None else loss / 100,
-        delay_s=None if delay is None else delay / 1e3,
-        rate_bps=None if rate is None else rate * 1e6,
-        line=line,
-    )
-
-
-def _cell(column: str, text: str, most: float = float("inf")) -> float | None:
-    if not text:
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        raise ValueError(f"{column} '{text}' is not a number; the column's name gives the unit") from None
-    if not 0 <= value <= most or value == float("inf"):
-        raise ValueError(f"{column} {text} is impossible; it must be {'0 or more' if most > 100 else '0 to 100'}")
-    return value
-
-
-def _link_trace(value: object, info: ValidationInfo) -> LinkTrace:
-    if not isinstance(value, str):
-        raise ValueError(f"expected the name of a CSV file, found {describe(value)}")
-    return parse_link_trace(value, read_file(info, value))
+if TYPE_CHECKING:
+    from netlab.world.propagation.model import PropagationModel
 
 
 class TablePair(Ends, Words):
@@ -132,23 +54,44 @@ def _table_default(value: object) -> object:
     return None if value == "out_of_range" else value
 
 
+_WITHOUT_POSITIONS = ("none", "table")
+
+
+def _model_name(value: object) -> str:
+    known = (*_WITHOUT_POSITIONS, *MODEL_NAMES)
+    if not isinstance(value, str) or (value not in known and not is_physical(value)):
+        raise ValueError(f"unknown propagation model {describe(value)}; {suggestion(str(value), known, 'known are')}")
+    return value
+
+
 class Propagation(StrictModel):
     """Who hears whom. `none`: everyone hears everyone. `table`: the pairs named, others by ``default``.
 
-    ``default`` None means out of range.
+    Any other model computes how strongly from where the radios are, and brings its own words. ``default`` None means
+    out of range.
     """
 
-    model: Annotated[
-        Literal["none", "table"],
-        BeforeValidator(lambda value: not_yet(value, ("none", "table"), _LATER_MODELS, "propagation model")),
-    ]
+    model: Annotated[str, BeforeValidator(_model_name), WithJsonSchema({"enum": list(_WITHOUT_POSITIONS)})]
     pairs: tuple[TablePair, ...] = ()
     default: Annotated[TableDefault | None, BeforeValidator(_table_default)] = None
-    file: Annotated[LinkTrace, BeforeValidator(_link_trace), WithJsonSchema({"type": "string"})] | None = None
-    corner_loss: NotYet = None
-    exponent: NotYet = None
+    file: LinkTraceFile | None = None
     path_loss: NotYet = None
-    range: NotYet = None
+    _physics: PropagationModel | None = PrivateAttr(default=None)
+
+    @property
+    def physics(self) -> PropagationModel | None:
+        """The model that computes signal strengths from positions; None for `none` and `table`."""
+        return self._physics
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_its_own_words(cls, data: Any, handler: ModelWrapValidatorHandler[Propagation]) -> Propagation:
+        if not isinstance(data, dict) or not is_physical(data.get("model")):
+            return handler(data)
+        physics = propagation_model(data)
+        propagation = handler({"model": data["model"]})
+        propagation._physics = physics
+        return propagation
 
     @model_validator(mode="after")
     def _table_keys_with_table(self) -> Self:
@@ -157,21 +100,16 @@ class Propagation(StrictModel):
             raise ValueError(f"{keys[0]} belongs to model: table; with none everyone hears everyone")
         return self
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), *model_schemas(handler)]}
+
 
 #: Channels on which mac80211_hwsim's own rules let a mesh or an ad-hoc network beacon, by centre in MHz.
 HWSIM_CHANNELS_MHZ = (*range(2412, 2463, 5), 5180, 5200, 5220, 5240, *range(5745, 5826, 20))
-_HWSIM_KEYS = ("mode", "mesh_id", "ssid", "frequency", "retry_limit", "monitor", "rssi")
+_HWSIM_KEYS = ("mode", "mesh_id", "ssid", "retry_limit", "monitor", "rssi")
+_PHYSICAL_KEYS = ("frequency", "tx_power", "antenna")
 _MOST_NAME_BYTES = 32  # IEEE 802.11-2016, 9.4.2.2 and 9.4.2.99
-
-
-def _frequency(value: object) -> int:
-    frequency_mhz = FREQUENCY.parse(value) / 1e6
-    if frequency_mhz not in HWSIM_CHANNELS_MHZ:
-        raise ValueError(
-            f"'{value}' is not the centre of a channel that may be used here; use 2412MHz to 2462MHz in steps of 5MHz, "
-            "5180, 5200, 5220 or 5240MHz, or 5745MHz to 5825MHz in steps of 20MHz"
-        )
-    return int(frequency_mhz)
 
 
 def _network_name(value: object) -> str:
@@ -216,17 +154,20 @@ class Radio(Words):
     mode: Literal["mesh", "ibss"] = "mesh"
     mesh_id: NetworkName | None = None
     ssid: NetworkName | None = None
-    frequency_mhz: Annotated[
-        int, Field(alias="frequency"), BeforeValidator(_frequency), WithJsonSchema({"type": "string"})
-    ] = HWSIM_CHANNELS_MHZ[0]
+    frequency_hz: Carrier | None = Field(default=None, alias="frequency")
     retry_limit: Annotated[int, Field(ge=1, le=64)] = 7
     monitor: Switch = False
     phy: Annotated[str, BeforeValidator(_phy), WithJsonSchema({"enum": list(PHY_NAMES)})] | None = None
     noise_dbm: Annotated[float, Quantity(POWER, minimum=-120.0, maximum=-30.0)] | None = Field(
         default=None, alias="noise"
     )
-    tx_power: NotYet = None
-    antenna_gain: NotYet = None
+    tx_power_dbm: TransmitPower = Field(default=DEFAULT_TX_POWER_DBM, alias="tx_power")
+    antenna: AntennaWords = AntennaWords()
+
+    @property
+    def hwsim_frequency_mhz(self) -> int:
+        """The channel's centre of 802.11 interfaces; their driver knows whole MHz."""
+        return HWSIM_CHANNELS_MHZ[0] if self.frequency_hz is None else round(self.frequency_hz / 1e6)
 
     @property
     def network(self) -> str:
@@ -259,26 +200,44 @@ class Radio(Words):
         return None
 
     def _misplaced(self) -> str | None:
+        given = {type(self).model_fields[name].alias or name for name in self.model_fields_set}
         if self.driver == "engine":
-            given = {type(self).model_fields[name].alias or name for name in self.model_fields_set}
             misplaced = [key for key in _HWSIM_KEYS if key in given and not (key == "rssi" and self.phy is not None)]
-            if "frequency" in misplaced:
-                return "frequency is not available yet without driver: hwsim; remove it"
-            return f"{misplaced[0]} belongs to 802.11 radios; add driver: hwsim or remove it" if misplaced else None
-        if self.mode == "mesh" and self.ssid is not None:
+            if misplaced:
+                return f"{misplaced[0]} belongs to 802.11 radios; add driver: hwsim or remove it"
+        elif self.mode == "mesh" and self.ssid is not None:
             return "ssid names an ad-hoc network, and this is a mesh; write mesh_id, or mode: ibss"
-        if self.mode == "ibss" and self.mesh_id is not None:
+        elif self.mode == "ibss" and self.mesh_id is not None:
             return "mesh_id names a mesh, and this is an ad-hoc network; write ssid, or mode: mesh"
+        return self._misplaced_in_space(given)
+
+    def _misplaced_in_space(self, given: set[str]) -> str | None:
+        physics = self.propagation.physics
+        if physics is None:
+            allowed = ("frequency",) if self.driver == "hwsim" else ()
+            misplaced = [key for key in _PHYSICAL_KEYS if key in given and key not in allowed]
+            what = f"to a propagation model that goes by positions ({', '.join(MODEL_NAMES)})"
+            return f"{misplaced[0]} belongs {what}; choose one or remove it" if misplaced else None
+        if self.driver == "hwsim":
+            return f"propagation model {self.propagation.model} has no meaning with driver: hwsim; use none or table"
+        if self.phy is None:
+            return f"propagation model {self.propagation.model} needs a phy; add phy: {PHY_NAMES[0]}"
+        if "rssi" in given:
+            return f"rssi is what propagation model {self.propagation.model} computes; remove it"
         return None
 
 
 def node_radio(value: Any) -> object:
-    """Accept a node's `radio: none`; refuse what later versions will take.
+    """Check a node's `radio:`; what is wrong in a block is told by its own key.
 
     Raises:
-        ValueError: Anything else.
+        ValueError: Neither none nor a block.
     """
-    if value == "none":
-        return value
-    what = "several radios in a node are" if isinstance(value, list) else "a node's own radio settings are"
-    raise ValueError(f"{what} not available yet; write none for a node without radio, or remove it")
+    if isinstance(value, list):
+        raise ValueError("several radios in a node are not available yet; write one block, or none")
+    if isinstance(value, str) and value != "none":
+        raise ValueError(f"'{value}' is not possible here; write none, or a block of the node's own radio settings")
+    return RadioEnds.model_validate(value) if isinstance(value, dict) else value
+
+
+NodeRadio = Annotated[Literal["none"] | RadioEnds, BeforeValidator(node_radio)]

@@ -43,17 +43,17 @@ def propagation_model(block: Mapping[str, object]) -> PropagationModel:
     return model_class(str(block["model"])).model_validate(words)
 
 
-def model_schemas() -> list[dict[str, Any]]:
-    """JSON Schemas of the project's own models, `model:` included."""
+def model_schemas(handler: GetJsonSchemaHandler) -> list[dict[str, Any]]:
+    """JSON Schemas of the project's own models, `model:` included, and of anybody's."""
     from netlab.world.propagation.registry import MODELS
 
-    schemas = []
+    schemas: list[dict[str, Any]] = []
     for name, model in MODELS.items():
-        schema = model.model_json_schema(by_alias=True)
-        schema["properties"] = {"model": {"const": name}, **schema["properties"]}
-        schema["required"] = ["model"]
-        schemas.append(schema)
-    return schemas
+        schema = handler.resolve_ref_schema(handler(model.__pydantic_core_schema__))
+        properties = {"model": {"const": name}, **schema["properties"]}
+        schemas.append({**schema, "properties": properties, "required": ["model"]})
+    path = {"type": "string", "pattern": "^.+:.+$"}
+    return [*schemas, {"type": "object", "properties": {"model": path}, "required": ["model"]}]
 
 
 def _facing(value: object) -> tuple[float, ...]:

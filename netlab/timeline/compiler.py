@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 from netlab.medium.impairments import Impairment
 from netlab.scenario.events import Event, Flap, Kill, LinkChange, Outage
+from netlab.scenario.link_trace import TraceRow
 from netlab.scenario.model import Scenario
-from netlab.scenario.radio import TraceRow
 from netlab.timeline.entries import (
     Action,
     DeployNode,

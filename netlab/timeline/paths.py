@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from netlab.scenario.link_trace import TraceRow
 from netlab.scenario.model import Scenario
-from netlab.scenario.radio import Radio, TraceRow
+from netlab.scenario.radio import Radio
 from netlab.scenario.words import Loss, Words
 
 Hop = tuple[str, str]  # (sender, receiver), names of nodes
@@ -78,7 +79,7 @@ class WireWords:
 
 
 def _default_words(radio: Radio) -> Words | None:
-    if radio.propagation.model == "none":
+    if radio.propagation.model != "table":  # the others tell by signal strength who is in range
         return radio.pair_words
     default = radio.propagation.default
     return None if default is None else default.laid_over(radio.pair_words)

@@ -10,9 +10,9 @@ from netlab.scenario.radio_physics import (
     AntennaWords,
     RadioEnds,
     is_physical,
-    model_schemas,
     propagation_model,
 )
+from netlab.scenario.schema import json_schema
 from netlab.world.antenna import omni, sector, table
 from netlab.world.propagation.registry import MODELS
 from netlab.world.propagation.tunnel import Tunnel
@@ -44,10 +44,14 @@ def test_a_block_becomes_its_model() -> None:
         propagation_model({"model": "free_space", "corner_loss": "17dB"})
 
 
-def test_every_model_has_a_schema_with_its_name() -> None:
-    schemas = {schema["properties"]["model"]["const"]: schema for schema in model_schemas()}
-    assert tuple(schemas) == MODEL_NAMES
-    assert "corner_loss" in schemas["tunnel"]["properties"]
+def test_the_schema_has_every_model_with_its_words() -> None:
+    schema = json_schema()
+    blocks = schema["$defs"]["Propagation"]["anyOf"]
+    words = {block["properties"]["model"].get("const"): block["properties"] for block in blocks}
+    assert set(MODEL_NAMES) <= set(words)
+    assert "corner_loss" in words["tunnel"]
+    assert "$defs/Walls" in str(words["tunnel"]["walls"])
+    assert "Walls" in schema["$defs"]
 
 
 @pytest.mark.parametrize(

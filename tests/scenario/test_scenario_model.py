@@ -6,8 +6,8 @@ import pytest
 
 from netlab.errors import ScenarioError
 from netlab.scenario import Scenario, load_scenario, parse_scenario
+from netlab.scenario.link_trace import parse_link_trace
 from netlab.scenario.links import Wire
-from netlab.scenario.radio import parse_link_trace
 
 NODES = {"a": {"processes": ["udp_mesh"]}, "b": {"processes": ["udp_mesh"]}, "c": {"processes": ["udp_mesh"]}}
 
@@ -164,13 +164,34 @@ def test_a_csv_trace_is_read_by_time_with_units_converted() -> None:
     ("radio", "expected"),
     [
         (
-            {"propagation": {"model": "tunnel"}},
-            "radio.propagation.model: propagation model 'tunnel' is not available yet",
+            {"phy": "802.11g-20MHz", "propagation": {"model": "tunnel"}},
+            "radio.propagation.model: model tunnel is about tunnels, and there are none; add terrain",
         ),
+        ({"propagation": {"model": "subt"}}, "radio: propagation model subt needs a phy; add phy: 802.11g-20MHz"),
+        (
+            {"driver": "hwsim", "propagation": {"model": "subt"}},
+            "radio: propagation model subt has no meaning with driver: hwsim",
+        ),
+        (
+            {"phy": "subt", "rssi": "-50dBm", "propagation": {"model": "subt"}},
+            "radio: rssi is what propagation model subt computes",
+        ),
+        (
+            {"phy": "subt", "propagation": {"model": "subt", "tile": "20"}},
+            "radio.propagation.tile: 20 has no unit; write a length like 4m",
+        ),
+        (
+            {"phy": "subt", "propagation": {"model": "no_such_module:Salt"}},
+            "radio.propagation: propagation model 'no_such_module:Salt': No module named",
+        ),
+        ({"propagation": {"model": "tunel"}}, "unknown propagation model 'tunel'; did you mean 'tunnel'?"),
         ({"propagation": {"model": "magic"}}, "radio.propagation.model: unknown propagation model 'magic'"),
         ({"propagation": {"model": "none", "pairs": []}}, "radio.propagation: pairs belongs to model: table"),
         ({"propagation": {"model": "table", "default": "far"}}, "write out_of_range or a block of link words"),
-        ({"propagation": {"model": "none"}, "tx_power": "20dBm"}, "radio.tx_power: is not available yet"),
+        (
+            {"propagation": {"model": "none"}, "tx_power": "20dBm"},
+            "radio: tx_power belongs to a propagation model that goes by positions (free_space,",
+        ),
         ({}, "radio.propagation: is missing; add it"),
         (
             {"propagation": {"model": "table", "pairs": [{"between": ["a", "z"]}]}},
@@ -195,10 +216,7 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
             {
                 "duration": "1s",
                 "wnet": {},
-                "radio": {
-                    "tx_power": "20dBm",
-                    "propagation": {"model": "subt"},
-                },
+                "radio": {"propagation": {"model": "table", "path_loss": "x.csv"}},
                 "nodes": {"a": {"motion": "a.csv", "mesh": "wnet"}, "b": {}},
             }
         )

@@ -170,7 +170,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
             "  relay: {position: [1]}",
             "s.yaml:5: nodes.relay.position: expected [x, y] or [x, y, z] in metres",
         ),
-        ("  relay:", "  relay: {radio: {}}", "nodes.relay.radio: a node's own radio settings are not available yet"),
+        ("  relay:", "  relay: {radio: {}}", "nodes.relay.radio: there is no radio; give radio: a propagation model"),
         ("  relay:", "  relay: {radio: []}", "nodes.relay.radio: several radios in a node are not available yet"),
         ("  relay:", "  relay: {processes: [wnet]}", "nodes.relay.processes[0]: process 'wnet' is not available yet"),
         ("argv: [sleep, 100]", "argv: sleep", "s.yaml:4: nodes.robot1.processes[1]: argv is a list"),
