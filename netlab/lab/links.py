@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 from pydantic import ValidationError
@@ -18,6 +18,10 @@ from netlab.errors import LabError
 from netlab.medium.impairments import PERFECT, Impairment
 from netlab.medium.segments import Segment, SegmentKind
 from netlab.scenario.events import LinkChange
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _T = TypeVar("_T")
 
@@ -32,6 +36,7 @@ class Links:
         self._impairments: dict[Pair, Impairment | None] = {
             pair: segment.pairs.get(pair) for pair, segment in self._segment_of.items()
         }
+        self._rssi_dbm: dict[str, NDArray[np.float64]] = {}  # [sender, receiver] in the order of the segment's ports
         self._out: dict[str, set[Pair]] = {}  # who holds which pairs down
         self._unplugged: dict[str, set[int]] = {}  # who holds which ports without carrier
 
@@ -50,6 +55,11 @@ class Links:
                 raise LabError(problem)
         self._engine.set_pairs(changes)
         self._impairments.update(changes)
+
+    def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
+        """Say how strongly the ports of a segment hear each other; see ``Engine.set_rssi``."""
+        self._engine.set_rssi(segment, rssi_dbm)
+        self._rssi_dbm[segment] = rssi_dbm
 
     def set_outage(self, holder: str, pairs: set[Pair], *, active: bool) -> None:
         """Take pairs down silently on behalf of ``holder``, or let go of them."""
