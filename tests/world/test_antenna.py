@@ -46,6 +46,7 @@ def test_fore_and_aft_sectors_leave_the_sides_weak() -> None:
 def test_a_measured_pattern_is_linear_between_its_points_and_around_the_circle() -> None:
     antenna = table([(0, 10.0), (90, 0.0), (270, 4.0)])
     assert gain(antenna, 45) == pytest.approx(5.0)
+    assert gain(antenna, 44.1) == pytest.approx(5.1)
     assert gain(antenna, 180) == pytest.approx(2.0)
     assert gain(antenna, 315) == pytest.approx(7.0)
     assert gain(antenna, -45) == pytest.approx(7.0)
