@@ -6,6 +6,7 @@ A pair that the timeline and a person both took down comes back when both have l
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -15,9 +16,14 @@ from pydantic import ValidationError
 
 from netlab.engines.base import Engine, LabPlan, Pair
 from netlab.errors import LabError
+from netlab.lab.signals import Signals
 from netlab.medium.impairments import PERFECT, Impairment
 from netlab.medium.segments import Segment, SegmentKind
 from netlab.scenario.events import LinkChange
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,7 +42,8 @@ class Links:
         self._impairments: dict[Pair, Impairment | None] = {
             pair: segment.pairs.get(pair) for pair, segment in self._segment_of.items()
         }
-        self._rssi_dbm: dict[str, NDArray[np.float64]] = {}  # [sender, receiver] in the order of the segment's ports
+        self.signals = Signals(plan)
+        self._heard: set[Pair] = set()  # as last described
         self._out: dict[str, set[Pair]] = {}  # who holds which pairs down
         self._unplugged: dict[str, set[int]] = {}  # who holds which ports without carrier
 
@@ -59,7 +66,7 @@ class Links:
     def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
         """Say how strongly the ports of a segment hear each other; see ``Engine.set_rssi``."""
         self._engine.set_rssi(segment, rssi_dbm)
-        self._rssi_dbm[segment] = rssi_dbm
+        self.signals.set(segment, rssi_dbm)
 
     def set_outage(self, holder: str, pairs: set[Pair], *, active: bool) -> None:
         """Take pairs down silently on behalf of ``holder``, or let go of them."""
@@ -97,33 +104,49 @@ class Links:
         joined = sorted({self._names(pair)[1] for pair in self._segment_of if self._names(pair)[0] == a})
         raise LabError(f"no link joins '{a}' and '{b}'; '{a}' is linked to {', '.join(joined) or 'nothing'}")
 
-    def describe(self, *, counters: bool = False) -> list[dict[str, Any]]:
-        """Every directed pair that is or was in range, as plain values; with the engine's counters, if it has any."""
+    def describe(self, *, counters: bool = False, heard_only: bool = False) -> list[dict[str, Any]]:
+        """Every directed pair that is or was in range, as plain values.
+
+        Args:
+            counters: With the engine's counters, if it has any.
+            heard_only: Only pairs with a signal strength that is high enough, or was so at the last time.
+        """
         counted = self._engine.pair_counters() if counters else {}
-        out, unplugged = _held(self._out), _held(self._unplugged)
         rows = []
         for pair, impairment in self._impairments.items():
-            if impairment is None and pair not in self._segment_of[pair].pairs:
+            segment = self._segment_of[pair]
+            if (impairment is None and pair not in segment.pairs) or (heard_only and not self._newsworthy(pair)):
                 continue
-            state = "up"
-            if impairment is None:
-                state = "out_of_range"
-            elif pair in out:
-                state = "outage"
-            elif unplugged & set(pair):
-                state = "no_carrier"
             sender, receiver = self._names(pair)
             rows.append(
                 {
-                    "segment": self._segment_of[pair].name,
+                    "segment": segment.name,
                     "from": sender,
                     "to": receiver,
-                    "state": state,
+                    "state": self._state(pair),
                     "impairment": asdict(impairment) if impairment is not None else None,
+                    **_signal(self.signals, pair),
                     **({"counters": asdict(counted[pair])} if pair in counted else {}),
                 }
             )
         return rows
+
+    def _state(self, pair: Pair) -> str:
+        if self._impairments[pair] is None or not self.signals.is_heard(pair):
+            return "out_of_range"
+        if any(pair in held for held in self._out.values()):
+            return "outage"
+        return "no_carrier" if _held(self._unplugged) & set(pair) else "up"
+
+    def _newsworthy(self, pair: Pair) -> bool:
+        if self.signals.rssi_dbm(pair) is None:
+            return False
+        was_heard = pair in self._heard
+        if self.signals.is_heard(pair):
+            self._heard.add(pair)
+            return True
+        self._heard.discard(pair)
+        return was_heard
 
     def _names(self, pair: Pair) -> tuple[str, str]:
         return self._plan.ports[pair[0]].node, self._plan.ports[pair[1]].node
@@ -159,6 +182,15 @@ def _misplaced(impairment: Impairment, segment: Segment) -> str | None:
     if segment.channel is not None and limits != (None, PERFECT.limit_packets, None):
         return "rate and limit of a pair have no meaning where radios share a channel; remove them"
     return None
+
+
+def _signal(signals: Signals, pair: Pair) -> dict[str, Any]:
+    """Strength and ratio for a row; nothing where there are none, null where nothing is heard at all."""
+    rssi_dbm, snr_db = signals.rssi_dbm(pair), signals.snr_db(pair)
+    if rssi_dbm is None or snr_db is None:
+        return {}
+    heard = math.isfinite(rssi_dbm)
+    return {"rssi_dbm": round(rssi_dbm, 1) if heard else None, "snr_db": round(snr_db, 1) if heard else None}
 
 
 def _all_pairs(ports: tuple[int, ...]) -> list[Pair]:

@@ -6,7 +6,7 @@ Only for radios whose propagation model goes by positions; everybody else's stre
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from netlab.engines.base import LabPlan
 from netlab.lab.links import Links
@@ -40,6 +40,15 @@ class Waves:
     def any(self) -> bool:
         """Whether any radio goes by positions."""
         return bool(self._channels)
+
+    def audible_plan(self, plan: LabPlan) -> LabPlan:
+        """The plan with only those pairs of such radios that hear each other now: who can be discovered."""
+        heard = self._links.signals.is_heard
+        segments = (
+            replace(segment, pairs={pair: what for pair, what in segment.pairs.items() if heard(pair)})
+            for segment in plan.segments
+        )
+        return replace(plan, segments=tuple(segments))
 
     def update(self, at_s: float, tracks: Sequence[Track]) -> None:
         """Let everybody be where ``tracks`` (in the order of the nodes) says at a scenario time.
