@@ -61,6 +61,8 @@ class ScenarioRun:
     ) -> None:
         self._scenario = scenario
         self._plan = plan
+        #: The same, with only those pairs that are in range at the start, when sources wait to discover them.
+        self.plan_at_start = plan
         self._links = links
         self._processes = processes
         self._recording = recording
@@ -200,7 +202,7 @@ class ScenarioRun:
         """Start the sinks, then the sources of some nodes; returns those sources."""
         wanted = [spec for spec in traffic_sinks(self._scenario) if spec.node in nodes]
         self._sinks += await self._start_ready(wanted, READY_LIMIT_S)
-        wanted = [spec for spec in traffic_sources(self._scenario, self._plan) if spec.node in nodes]
+        wanted = [spec for spec in traffic_sources(self._scenario, self.plan_at_start) if spec.node in nodes]
         sources = await self._start_ready(wanted, limit_s)
         self._sources += sources
         return sources

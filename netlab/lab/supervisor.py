@@ -23,6 +23,7 @@ from typing import Any
 from netlab.capture.metadata import run_metadata
 from netlab.clock import begin_in_step, clock_here
 from netlab.engines import mesh_interfaces
+from netlab.engines.base import LabPlan
 from netlab.engines.choose import make_engine
 from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import MachineError, NetlabError
@@ -90,7 +91,8 @@ class Supervisor:
         self.processes.on_line = self.recording.line
         self.motion = set_in_motion(self._scenario, self.plan, self.links, self.recording)
         self.run = ScenarioRun(self._scenario, self.plan, self.links, self.processes, self.recording)
-        routes = stream_routes(self._scenario, self.plan)
+        self.run.plan_at_start = self._plan_at_start()
+        routes = stream_routes(self._scenario, self.run.plan_at_start)
         self.run.has_routes = lambda: not mesh_interfaces.missing_routes(self.plan, self._engine.namespace_fds, routes)
         self.processes.on_exit = self.run.process_ended
         self.processes.on_lost = lambda: self._fail("the lab's fork server ended; no process is watched any more")
@@ -106,6 +108,15 @@ class Supervisor:
         specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
         self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
+
+    def _plan_at_start(self) -> LabPlan:
+        """Put the radios that go by positions on the air; returns the plan of who hears whom then."""
+        radio = self._scenario.radio
+        if radio is None or radio.propagation.physics is None:
+            return self.plan
+        from netlab.lab.waves import let_radios_follow  # NumPy, which all other labs do without
+
+        return let_radios_follow(self._scenario, self.plan, self.links, self.motion, self.recording)
 
     def _start_recording(self) -> Recording:
         if self._options.capture is None:

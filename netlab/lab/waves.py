@@ -5,11 +5,15 @@ Only for radios whose propagation model goes by positions; everybody else's stre
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from netlab.engines.base import LabPlan
+from netlab.errors import LabError
 from netlab.lab.links import Links
+from netlab.lab.motion import Motion
+from netlab.lab.recording import Recording
 from netlab.medium.segments import Segment
 from netlab.scenario.model import Scenario
 from netlab.scenario.radio_physics import DEFAULT_FREQUENCY_HZ, RadioEnds
@@ -17,6 +21,8 @@ from netlab.world.budget import LinkBudget, RadioUnit
 from netlab.world.propagation.model import PropagationModel
 from netlab.world.tracks import Track
 from netlab.world.world import World
+
+_RECORD_EVERY_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,27 +34,10 @@ class _Channel:
 class Waves:
     """The signal strengths of a lab's radios as its nodes move."""
 
-    def __init__(self, scenario: Scenario, plan: LabPlan, links: Links) -> None:
-        physics = None if scenario.radio is None else scenario.radio.propagation.physics
+    def __init__(self, scenario: Scenario, plan: LabPlan, links: Links, physics: PropagationModel) -> None:
         self._terrain = None if scenario.terrain is None else scenario.terrain.tunnel_map
         self._links = links
-        self._channels = [] if physics is None else list(_channels(scenario, plan, physics))
-        #: Whether strengths change while nobody moves.
-        self.never_rest = physics is not None and physics.fading and physics.drift_hz > 0
-
-    @property
-    def any(self) -> bool:
-        """Whether any radio goes by positions."""
-        return bool(self._channels)
-
-    def audible_plan(self, plan: LabPlan) -> LabPlan:
-        """The plan with only those pairs of such radios that hear each other now: who can be discovered."""
-        heard = self._links.signals.is_heard
-        segments = (
-            replace(segment, pairs={pair: what for pair, what in segment.pairs.items() if heard(pair)})
-            for segment in plan.segments
-        )
-        return replace(plan, segments=tuple(segments))
+        self._channels = list(_channels(scenario, plan, physics))
 
     def update(self, at_s: float, tracks: Sequence[Track]) -> None:
         """Let everybody be where ``tracks`` (in the order of the nodes) says at a scenario time.
@@ -56,13 +45,46 @@ class Waves:
         Raises:
             LabError: The engine is gone.
         """
-        if not self._channels:
-            return
         world = World(self._terrain, tracks)
         moment = world.moment(at_s)
         for channel in self._channels:
             geometry = world.geometry(moment, channel.budget.node_of_radio)
             self._links.set_rssi(channel.segment, channel.budget.rssi_dbm(moment, geometry, at_s))
+
+
+def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: Motion, recording: Recording) -> LabPlan:
+    """Set the strengths of all radios that go by positions, now and at every tick of the motion, and record them.
+
+    Returns:
+        The plan with only those pairs that hear each other at the start: who can be discovered.
+    """
+    assert scenario.radio is not None
+    physics = scenario.radio.propagation.physics
+    assert physics is not None
+    waves = Waves(scenario, plan, links, physics)
+    due_s = 0.0
+
+    def on_tick(at_s: float) -> None:
+        nonlocal due_s
+        with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
+            waves.update(at_s, motion.tracks)
+        if at_s >= due_s:
+            due_s = at_s + _RECORD_EVERY_S
+            recording.links(links.describe(heard_only=True))
+
+    waves.update(0.0, motion.tracks)
+    motion.on_tick = on_tick
+    motion.always_ticks = physics.fading and physics.drift_hz > 0
+    return _heard_plan(plan, links)
+
+
+def _heard_plan(plan: LabPlan, links: Links) -> LabPlan:
+    heard = links.signals.is_heard
+    segments = (
+        replace(segment, pairs={pair: what for pair, what in segment.pairs.items() if heard(pair)})
+        for segment in plan.segments
+    )
+    return replace(plan, segments=tuple(segments))
 
 
 def _channels(scenario: Scenario, plan: LabPlan, physics: PropagationModel) -> list[_Channel]:
