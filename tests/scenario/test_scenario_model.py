@@ -222,4 +222,4 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]
     assert late == caught.value.problems
-    assert len(late) == 5
+    assert len(late) == 4
