@@ -52,6 +52,7 @@ class Host:
         assert self.holder.stdout is not None
         self.pid = int(self.holder.stdout.readline())  # of the shell; unshare stays beside it
         self.daemon: subprocess.Popen[bytes] | None = None
+        self.prefix: list[str] = []  # words before the daemon's command
 
     def ip(self, *words: str) -> None:
         """Run ip(8) in the namespace."""
@@ -68,6 +69,7 @@ class Host:
                         *self.privileges,
                         "nsenter",
                         f"--net=/proc/{self.pid}/ns/net",
+                        *self.prefix,
                         sys.executable,
                         "-m",
                         "udp_mesh",

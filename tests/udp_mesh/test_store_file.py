@@ -15,6 +15,7 @@ from udp_mesh.core.inbox import Kept
 from udp_mesh.core.settings import Keep, Offline, TopicPolicy
 from udp_mesh.core.stored import Stored
 from udp_mesh.io import store_file, store_rows
+from udp_mesh.io.outgoing import payload_of
 from udp_mesh.io.store import Outcome, StoreThread
 from udp_mesh.io.store_rows import Statement
 
@@ -32,6 +33,16 @@ def kept(sequence: int, store: int = 1 << 63 | 5) -> Kept:
 def run(thread: StoreThread, statements: list[Statement]) -> Outcome:
     found: list[Outcome] = []
     thread.write(statements, found.append)
+    return wait(thread, found)
+
+
+def ask(thread: StoreThread, query: Statement) -> Outcome:
+    found: list[Outcome] = []
+    thread.read(query, found.append)
+    return wait(thread, found)
+
+
+def wait(thread: StoreThread, found: list[Outcome]) -> Outcome:
     while not found:
         assert select.select([thread], [], [], 10.0)[0], "the store's thread does not answer"
         for done, outcome in thread.outcomes():
@@ -141,16 +152,59 @@ def test_what_can_be_read_of_a_damaged_file_is_saved(path: str) -> None:
     assert run(thread, statements) == Outcome()
     thread.close()
     data = bytearray(Path(path).read_bytes())
-    middle = len(data) // 2 // 4096 * 4096
-    data[middle : middle + 4096] = b"\xff" * 4096
+    for part in (0.25, 0.75):
+        page = int(len(data) * part) // 4096 * 4096
+        data[page : page + 4096] = b"\xff" * 4096
     Path(path).write_bytes(data)
     again = StoreThread(path, AGE_S, time.monotonic())
     contents = again.contents
     again.close()
     assert again.notes
-    assert count / 3 < len(contents.outgoing) < count
+    assert 0.9 * count < len(contents.outgoing) < count, "also what lies between two damages"
     assert contents.store_id == identity
     assert contents.next_sequence > count, "the numbers of lost messages are not used again"
+
+
+def test_a_payload_that_is_not_what_was_written_is_recognised(path: str, thread: StoreThread) -> None:
+    statements = [store_rows.put_outgoing(outgoing(1), b"as it was"), store_rows.put_incoming(kept(7), b"x", age_s=9.0)]
+    assert run(thread, statements) == Outcome()
+    queries = [store_rows.outgoing_payload(1), store_rows.incoming_payload(kept(7).durable_id)]
+    assert [payload_of(ask(thread, query)) for query in queries] == [b"as it was", b"x"]
+    for table in ("outgoing", "incoming"):
+        assert run(thread, [(f"UPDATE {table} SET payload = ?", (b"as it wAs",))]) == Outcome()
+    assert [payload_of(ask(thread, query)) for query in queries] == [None, None]
+
+
+def test_a_file_of_the_first_layout_is_brought_up_to_date(path: str) -> None:
+    database = store_file.connect(path)
+    for table in ("outgoing", "incoming"):
+        database.execute(f"ALTER TABLE {table} DROP COLUMN crc")
+    database.execute("UPDATE meta SET value = 1 WHERE key = 'layout'")
+    statement, values = store_rows.put_outgoing(outgoing(1), b"old")
+    database.execute(statement.replace(", ?)", ")"), values[:-1])
+    database.close()
+    for _ in range(2):
+        thread = StoreThread(path, AGE_S, time.monotonic())
+        assert [entry.sequence for entry in thread.contents.outgoing] == [1]
+        assert payload_of(ask(thread, store_rows.outgoing_payload(1))) == b"old"
+        thread.close()
+        assert not thread.notes
+
+
+def test_damage_that_a_query_meets_is_mended(path: str) -> None:
+    thread = StoreThread(path, AGE_S, time.monotonic())
+    count = 400  # more than SQLite keeps in memory
+    statements = [store_rows.put_outgoing(outgoing(number), bytes(20_000)) for number in range(1, count + 1)]
+    assert run(thread, statements) == Outcome()
+    thread._database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    with Path(path).open("r+b") as file:
+        file.seek(3_000_000)
+        file.write(b"\xff" * 500_000)
+    found = [payload_of(ask(thread, store_rows.outgoing_payload(number))) for number in range(1, count + 1)]
+    thread.close()
+    assert found.count(bytes(20_000)) + found.count(None) == count
+    assert 20 <= found.count(None) <= 40
+    assert thread.notes
 
 
 def test_one_file_serves_one_daemon(path: str, thread: StoreThread, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,7 +33,7 @@ from udp_mesh.core.settings import Offline, TopicPolicy
 from udp_mesh.io import store_rows
 from udp_mesh.io.fates import Fates
 from udp_mesh.io.incoming import Applications, Incoming
-from udp_mesh.io.outgoing import Outgoing, answer, ignore
+from udp_mesh.io.outgoing import Outgoing, answer
 from udp_mesh.io.server import Connection
 from udp_mesh.local_wire import Publish
 
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 REOPEN_AFTER_S = 5.0
 PROBLEM_INTERVAL_S = 1.0
+RETRY_TIDY_AFTER_S = 2.0
 
 
 class Durable:
@@ -67,6 +68,7 @@ class Durable:
         self._report = report
         self._clock = clock
         self._open_store = open_store
+        self._tidy_at_s = 0.0
         self._thread: Store | None = None
         self._outgoing: Outgoing | None = None
         self._incoming: Incoming | None = None
@@ -185,7 +187,8 @@ class Durable:
         self.inbox.handle_timer(now=now)
         self._outgoing.feed(now=now)
         self._incoming.hand_on(now=now)
-        self._tidy(self._thread)
+        if now >= self._tidy_at_s:
+            self._tidy(self._thread)
         while self.custody.events:
             self._report(self.custody.events.popleft())
         while self._thread.notes:
@@ -197,6 +200,8 @@ class Durable:
         times = [self.custody.next_timer(), self.inbox.next_timer()]
         if len(self.custody) and self._outgoing is not None:
             times.append(self._outgoing.seek_at_s)
+        if self.custody.forgotten or self.inbox.taken:
+            times.append(self._tidy_at_s)
         return min((time_s for time_s in times if time_s is not None), default=None)
 
     def _tidy(self, thread: Store) -> None:
@@ -204,8 +209,15 @@ class Durable:
         taken, self.inbox.taken = self.inbox.taken, []
         statements = [store_rows.drop_outgoing(sequence) for sequence in forgotten]
         statements += [store_rows.take_incoming(durable_id) for durable_id in taken]
+
+        def done(outcome: Outcome) -> None:
+            if outcome.reason:  # a full disk may have room again later
+                self._tidy_at_s = self._clock() + RETRY_TIDY_AFTER_S
+                self.custody.forgotten[:0] = forgotten
+                self.inbox.taken[:0] = taken
+
         if statements:
-            thread.write(statements, ignore)
+            thread.write(statements, done)
 
     def stats(self) -> dict[str, int]:
         """Return the counters of stored messages."""

@@ -14,7 +14,7 @@ from udp_mesh.core.inbox import Inbox, Kept
 from udp_mesh.core.mesh import MeshCore
 from udp_mesh.io import compression, store_rows
 from udp_mesh.io.confirmations import Confirmations
-from udp_mesh.io.outgoing import payload_of
+from udp_mesh.io.outgoing import payload_of, what_is_lost
 from udp_mesh.io.server import ALL_TOPICS, Connection
 from udp_mesh.local_wire import Message
 
@@ -123,6 +123,7 @@ class Incoming:
             self._reading.discard(kept.durable_id)
             payload = payload_of(outcome)
             if payload is None:
+                self._problem(what_is_lost(outcome, f"a message on {kept.topic} from {kept.source}"))
                 self._inbox.lost(kept)
             else:
                 kept.payload = payload

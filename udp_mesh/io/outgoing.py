@@ -214,6 +214,7 @@ class Outgoing:
             if payload is not None and not entry.is_done:
                 entry.payload = payload
             elif payload is None:
+                self._problem(what_is_lost(outcome, f"message {entry.sequence} to {entry.peer}"))
                 self._custody.lost(entry, now=self._clock())
 
         self._thread.read(store_rows.outgoing_payload(entry.sequence), done)
@@ -228,9 +229,16 @@ def answer(askers: list[tuple[Connection, int]], sequence: int, reason: RefusalR
 
 
 def payload_of(outcome: Outcome) -> bytes | None:
-    """Return the payload that a query found, None if the file no longer has it."""
-    value = outcome.rows[0][0] if outcome.rows else None
-    return value if isinstance(value, bytes) else None
+    """Return the payload that a query found, None if the file no longer has it as it was."""
+    payload, crc = outcome.rows[0] if outcome.rows else (None, None)
+    return payload if isinstance(payload, bytes) and store_rows.is_sound(payload, crc) else None
+
+
+def what_is_lost(outcome: Outcome, message: str) -> Outcome:
+    """Return what to report when a query did not find the payload of a message."""
+    from udp_mesh.io.store import Outcome  # SQLite is paid for by those who have a store
+
+    return outcome if outcome.reason else Outcome("store_corrupted", f"the payload of {message} is damaged or gone")
 
 
 def ignore(_outcome: Outcome) -> None:

@@ -176,11 +176,13 @@ class StoreThread:
         self.notes.append(f"{self.path}: {error}; moved to {aside}, {saved} rows of it saved")
         return True
 
-    def _query(self, query: Statement) -> Outcome:
+    def _query(self, query: Statement, *, may_mend: bool = True) -> Outcome:
         try:
             return Outcome(rows=self._database.execute(*query).fetchall())
         except sqlite3.Error as error:
-            return _failure(error)
+            if not may_mend or not store_file.is_damage(error) or not self._mend(error):
+                return _failure(error)
+        return self._query(query, may_mend=False)
 
 
 def _failure(error: sqlite3.Error) -> Outcome:

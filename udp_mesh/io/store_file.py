@@ -11,6 +11,7 @@ import contextlib
 import secrets
 import sqlite3
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,17 +21,18 @@ from udp_mesh.core.stored import Stored
 from udp_mesh.io import store_rows
 from udp_mesh.io.store_rows import policy, unsigned
 
-_LAYOUT = 1
+_LAYOUT = 2
+_MAX_SEARCHED = 1_000_000  # row numbers tried between the two ends of a damage
 _FORGET_AFTER_S = 60 * 86_400.0  # ids and applications that were not seen for so long
 _TABLES = {
     "meta": "key TEXT PRIMARY KEY, value INTEGER",
     "peers": "name TEXT PRIMARY KEY",
     "outgoing": "sequence INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT, topic TEXT, policy TEXT,"
-    " original_bytes INTEGER, wall_s REAL, boot TEXT, mono_s REAL, lifetime_s REAL, payload BLOB",
+    " original_bytes INTEGER, wall_s REAL, boot TEXT, mono_s REAL, lifetime_s REAL, payload BLOB, crc INTEGER",
     "taken": "client INTEGER, request INTEGER, sequence INTEGER, wall_s REAL, PRIMARY KEY (client, request)",
     "incoming": "store INTEGER, sequence INTEGER, source TEXT, topic TEXT, priority INTEGER,"
     " received_ns INTEGER, wall_s REAL, boot TEXT, mono_s REAL, lifetime_s REAL, payload BLOB,"
-    " PRIMARY KEY (store, sequence)",
+    " crc INTEGER, PRIMARY KEY (store, sequence)",
     "floors": "store INTEGER PRIMARY KEY, floor INTEGER",
 }
 
@@ -103,7 +105,11 @@ def _check(database: sqlite3.Connection, path: str) -> None:
     if verdict != "ok":
         raise StoreError(f"{path}: {verdict}", is_damaged=True)
     (layout,) = database.execute("SELECT value FROM meta WHERE key = 'layout'").fetchone()
-    if layout != _LAYOUT:
+    if layout == 1:
+        for table in ("outgoing", "incoming"):
+            database.execute(f"ALTER TABLE {table} ADD COLUMN crc INTEGER")
+        database.execute("UPDATE meta SET value = ? WHERE key = 'layout'", (_LAYOUT,))
+    elif layout != _LAYOUT:
         raise StoreError(f"{path}: has layout {layout}, this version knows {_LAYOUT}; move the file away")
 
 
@@ -137,14 +143,25 @@ def rescue(path: str) -> tuple[sqlite3.Connection, str, int]:
 
 
 def _copy(old: sqlite3.Connection, new: sqlite3.Connection, table: str) -> int:
-    """Copy rows until one cannot be read, then from the other end; return how many."""
-    count = 0
-    for order in ("ASC", "DESC"):
+    """Copy rows from both ends until one cannot be read, then one by one what lies between; return how many."""
+    width = len(new.execute(f"PRAGMA table_info({table})").fetchall())
+
+    def put(row: Sequence[object]) -> int:
+        values = (*row, *[None] * (width - len(row)))  # an earlier layout had fewer columns
+        return new.execute(f"INSERT OR REPLACE INTO {table} VALUES ({','.join('?' * width)})", values).rowcount
+
+    count, ends = 0, [0, 0]
+    for end, order in enumerate(("ASC", "DESC")):
+        try:
+            for rowid, *row in old.execute(f"SELECT rowid, * FROM {table} ORDER BY rowid {order}"):
+                count += put(row)
+                ends[end] = rowid
+        except sqlite3.Error:
+            continue
+        return count
+    for rowid in range(ends[0] + 1, min(ends[1], ends[0] + _MAX_SEARCHED)):
         with contextlib.suppress(sqlite3.Error):
-            for row in old.execute(f"SELECT * FROM {table} ORDER BY rowid {order}"):
-                marks = ",".join("?" * len(row))
-                count += new.execute(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", row).rowcount
-            return count
+            count += sum(put(row) for row in old.execute(f"SELECT * FROM {table} WHERE rowid = ?", (rowid,)))
     return count
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import zlib
 from pathlib import Path
 
 from udp_mesh.core.envelope import DurableId
@@ -19,20 +20,20 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 def outgoing_payload(sequence: int) -> Statement:
-    """Return the query for the payload of a message of this node."""
-    return "SELECT payload FROM outgoing WHERE sequence = ?", (sequence,)
+    """Return the query for the payload of a message of this node, and its checksum."""
+    return "SELECT payload, crc FROM outgoing WHERE sequence = ?", (sequence,)
 
 
 def incoming_payload(durable_id: DurableId) -> Statement:
-    """Return the query for the payload of a received message."""
-    return "SELECT payload FROM incoming WHERE store = ? AND sequence = ?", signed_id(durable_id)
+    """Return the query for the payload of a received message, and its checksum."""
+    return "SELECT payload, crc FROM incoming WHERE store = ? AND sequence = ?", signed_id(durable_id)
 
 
 def put_outgoing(entry: Stored, payload: bytes) -> Statement:
     """Return what stores a message of this node."""
     values = (entry.sequence, entry.peer, entry.topic, policy_text(entry.policy), entry.original_bytes)
     age = moment(entry.deadline_s - entry.queued_at_s)
-    return "INSERT INTO outgoing VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", (*values, *age, payload)
+    return f"INSERT INTO outgoing VALUES ({_marks(11)})", (*values, *age, payload, zlib.crc32(payload))
 
 
 def drop_outgoing(sequence: int) -> Statement:
@@ -55,8 +56,8 @@ def put_incoming(message: Kept, payload: bytes, *, age_s: float) -> Statement:
     """Return what stores a received message and its id."""
     values = (*signed_id(message.durable_id), message.source, message.topic, message.priority)
     return (
-        "INSERT OR REPLACE INTO incoming VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-        (*values, message.received_ns, *moment(age_s), payload),
+        f"INSERT OR REPLACE INTO incoming VALUES ({_marks(12)})",
+        (*values, message.received_ns, *moment(age_s), payload, zlib.crc32(payload)),
     )
 
 
@@ -77,6 +78,15 @@ def put_floor(store: int, floor: int) -> list[Statement]:
 def put_peer(name: str) -> Statement:
     """Return what remembers a node's name."""
     return "INSERT OR IGNORE INTO peers VALUES (?)", (name,)
+
+
+def is_sound(payload: bytes, crc: object) -> bool:
+    """Whether a payload is what was written; SQLite itself does not notice every damage. ``crc`` None: not known."""
+    return crc is None or zlib.crc32(payload) == crc
+
+
+def _marks(count: int) -> str:
+    return ", ".join("?" * count)
 
 
 def boot_id() -> str:
