@@ -13,7 +13,7 @@ import pytest
 from tests.system.mesh_faults import bridged, events, on_small_disk, resize
 from tests.system.test_udp_mesh_features import hosts, stations  # noqa: F401 (fixtures are used by their names)
 from tests.system.test_udp_mesh_io import Host, connect
-from udp_mesh.client import Client, Outcome, Refused, WouldBlock
+from udp_mesh.client import Client, Fate, Outcome, Refused, WouldBlock
 
 
 def received(client: Client, count: int, within_s: float = 15.0) -> list[bytes]:
@@ -133,28 +133,34 @@ def test_a_full_disk_at_the_receiver_leaves_messages_with_their_sender(
 
 def test_a_full_queue_drops_or_refuses_and_says_so(stations: tuple[Host, Host]) -> None:  # noqa: F811
     a, b = stations
-    a.config.write_text(a.config.read_text() + "queue_bytes = 100000\n")
+    slow = "".join(f'[topics.{topic}]\nrate_limit_hz = 0.001\n' for topic in ("map", "plan"))
+    a.config.write_text(a.config.read_text() + "queue_bytes = 100000\n" + slow)
     a.start()
     b.start()
-    with connect(a) as sender, connect(b) as receiver:
-        receiver.subscribe("t")
+    with connect(a) as sender, connect(a) as patient, connect(b) as receiver:
+        receiver.subscribe("*")
         receiver.stats()
         assert sender.wait_for_peer("beta", 5.0)
-        a.ip("link", "set", "mesh0", "down")
-        old = [sender.publish_tracked("t", bytes([n]) * 20_000, to="beta", offline="latest") for n in range(5)]
+        for topic in ("map", "plan"):  # the first passes, the following ones wait
+            sender.publish_wait(topic, b"first", to="beta", timeout_s=5.0)
+            assert received(receiver, 1) == [b"first"]
+        old = [sender.publish_tracked("map", bytes(20_000), to="beta") for _ in range(5)]
+        while not all(delivery.peers for delivery in old):
+            sender.stats()
         with pytest.raises(WouldBlock):  # who waits for room drops nothing
-            sender.publish_wait("t", bytes(20_000), to="beta", offline="latest", timeout_s=0.2)
-    with connect(a) as sender:
-        assert not old[0].is_acknowledged
-        urgent = sender.publish_tracked("u", bytes(90_000), to="beta", offline="latest", priority=1)
-        vain = sender.publish_tracked("t", bytes(20_000), to="beta", offline="latest", priority=9)
+            patient.publish_wait("map", bytes(20_000), to="beta", timeout_s=0.2)
+        assert not any(delivery.wait(0.0) for delivery in old)
+        urgent = sender.publish_tracked("plan", bytes(90_000), to="beta", priority=1)
+        assert all(delivery.wait(5.0) for delivery in old)
+        assert {delivery.fates["beta"] for delivery in old} == {Fate("beta", Outcome.FAILED, "queue_full")}
+        vain = sender.publish_tracked("map", bytes(20_000), to="beta", priority=9)
         assert vain.wait(5.0)
-        assert (vain.fates["beta"].outcome, vain.fates["beta"].reason) == (Outcome.FAILED, "queue_full")
-        drops = [event for event in events(a, "message_dropped") if event["reason"] == "queue_full"]
-        assert len(drops) >= 4
-        a.ip("link", "set", "mesh0", "up")
-        assert urgent.wait(10.0)
-        assert urgent.is_acknowledged
+        assert vain.fates == {"beta": Fate("beta", Outcome.FAILED, "queue_full")}
+        assert not urgent.wait(0.0)
+        sender.publish_wait("other", b"small", to="beta", timeout_s=5.0)
+        assert received(receiver, 1) == [b"small"]
+    reasons = [event["reason"] for event in events(a, "message_dropped")]
+    assert reasons == ["queue_full"] * 5
 
 
 @pytest.mark.parametrize("stored", [3, 400])
