@@ -133,7 +133,7 @@ def test_a_full_disk_at_the_receiver_leaves_messages_with_their_sender(
 
 def test_a_full_queue_drops_or_refuses_and_says_so(stations: tuple[Host, Host]) -> None:  # noqa: F811
     a, b = stations
-    slow = "".join(f'[topics.{topic}]\nrate_limit_hz = 0.001\n' for topic in ("map", "plan"))
+    slow = "".join(f"[topics.{topic}]\nrate_limit_hz = 0.001\n" for topic in ("map", "plan"))
     a.config.write_text(a.config.read_text() + "queue_bytes = 100000\n" + slow)
     a.start()
     b.start()

@@ -178,21 +178,19 @@ class MeshCore:
         Args:
             topic: 1..255 bytes of UTF-8.
             payload: Opaque; at most 16 MiB. Not copied: do not change it afterwards.
-            to: A node's name, or ``all``.
             policy: Overrides the topic's configured policy.
             may_drop: Whether a full queue makes room by dropping; otherwise it refuses.
             flags: ``wire.DATA_FLAG_ENVELOPE`` if the payload begins with an envelope.
             token: Comes back in the events that tell what has become of the message.
-            is_tracked: For ``all``: send it to each node that is online instead of broadcasting it, so that each of
-                them acknowledges it. See :meth:`destinations`.
+            is_tracked: Never broadcast it: each node acknowledges it. See :meth:`destinations`.
             now: Monotonic seconds.
 
         Raises:
             Refused: It was not taken; ``reason`` says why.
         """
         self._now = now
+        chosen = policy or self._state.settings.policy(topic)
         try:
-            chosen = policy or self._state.settings.policy(topic)
             return self._outbox.publish(
                 topic,
                 payload,
