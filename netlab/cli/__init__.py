@@ -28,6 +28,7 @@ COMMANDS = {
     "logs": ("background", "Print the output of a node's processes."),
     "check": ("check", "Validate a scenario file and print every problem."),
     "inspect": ("inspect", "Look into a capture."),
+    "report": ("report", "Draw a page of plots from a capture."),
     "export": ("export", "Export a capture's packets to pcapng."),
     "vm": ("vm", "Run a command in a throw-away kernel, in real or virtual time."),
     "doctor": ("doctor", "Say what this machine can do and what is missing."),
