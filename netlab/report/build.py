@@ -106,7 +106,8 @@ def _arrivals(trace: Trace, topic: str | None) -> Section:
     within = ", ".join(f"{entry.ratio_within:.0%} {entry.stream}" for entry in shown)
     caption = (
         "Between receipts of messages that follow one another, with the normal distribution of the same mean and "
-        "standard deviation (its central 68 % shaded). A gap is where messages in between never came, or the time was twice as long. "
+        "standard deviation (its central 68 % shaded). A gap is where messages in between never came, or the time was "
+        "twice the nominal one or more. "
         f"Within 5 % of the nominal interval: {within}."
     )
     return Section(title, caption + _left_out(len(found) - len(shown), "stream"), plots.intermessage_times(shown))

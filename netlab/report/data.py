@@ -57,11 +57,14 @@ class Arrivals:
 
 def heartbeat_topic(trace: Trace) -> str | None:
     """Return the topic whose arrivals say most of the connection; None if nothing was published twice."""
-    nominal = {stream.topic: interval_s(trace, stream) for stream in trace.streams}
-    known = {topic: value for topic, value in nominal.items() if value}
+    known: dict[str, float] = {}
+    for stream in trace.streams:
+        nominal = interval_s(trace, stream)
+        if nominal is not None:
+            known.setdefault(stream.topic, nominal)
     if HEARTBEAT_TOPIC in known:
         return HEARTBEAT_TOPIC
-    return min(known, key=lambda topic: abs(math.log(known[topic] or 1.0 / HEARTBEAT_S)), default=None)
+    return min(known, key=lambda topic: abs(math.log(known[topic] / HEARTBEAT_S)), default=None)
 
 
 def interval_s(trace: Trace, stream: Stream) -> float | None:

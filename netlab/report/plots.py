@@ -6,7 +6,7 @@ import functools
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, ParamSpec
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -23,7 +23,8 @@ _P = ParamSpec("_P")
 _WIDTH_IN = 8.5
 _COLUMNS = 400
 _ROW_IN = 0.22
-_STYLE = {
+# Each release of matplotlib has another type for this.
+_STYLE: Any = {
     "svg.fonttype": "none",  # text stays text: small, and in the page's own font
     "svg.hashsalt": "netlab",
     "font.size": 9.0,
@@ -71,7 +72,7 @@ def _density(axes: Axes, entry: Arrivals) -> None:
     reach = max(4 * sigma, 0.05 * entry.interval_s)
     low, high = mean - reach, mean + reach
     shown = [value for value in entry.intervals_s if low <= value <= high]
-    bins = min(max(round(math.sqrt(len(shown))), 10), 60)
+    bins = min(max(round(math.sqrt(len(shown))), 10), 60) | 1  # an odd number: the mean is in the middle of one
     axes.hist(shown, bins=bins, range=(low, high), density=True, color=palette.SERIES[0], alpha=0.55, label="measured")
     at = [low + (high - low) * step / 200 for step in range(201)]
     curve = [math.exp(-(((x - mean) / sigma) ** 2) / 2) / (sigma * math.sqrt(2 * math.pi)) for x in at]
@@ -104,7 +105,7 @@ def tunnel_map(scene: Scene, contacts: Mapping[str, Contact]) -> str:
     return _svg(figure)
 
 
-_DASH = {palette.GOOD: "-", palette.BAD: ":", palette.UNKNOWN: "--"}
+_DASH: dict[str, Literal["-", ":", "--"]] = {palette.GOOD: "-", palette.BAD: ":", palette.UNKNOWN: "--"}
 
 
 def _path(axes: Axes, path: Sequence[tuple[float, float, float]], contact: Contact | None) -> None:
@@ -125,7 +126,9 @@ def _path(axes: Axes, path: Sequence[tuple[float, float, float]], contact: Conta
 def _piece(axes: Axes, places: Sequence[tuple[float, float]], colour: str) -> None:
     step = max(len(places) // _COLUMNS, 1)
     thinned = [*places[::step], places[-1]]
-    axes.plot(*zip(*thinned, strict=True), color=colour, linestyle=_DASH[colour], linewidth=2, zorder=3)
+    order = 3.5 if colour == palette.BAD else 3.0  # seen also where the node came back the same way, connected
+    width = 3.5 if colour == palette.BAD else 2.0
+    axes.plot(*zip(*thinned, strict=True), color=colour, linestyle=_DASH[colour], linewidth=width, zorder=order)
 
 
 @_in_style
@@ -147,7 +150,7 @@ def data_volumes(found: Mapping[str, Mapping[str, int]]) -> str:
         text = f"{total * scale / own_scale:.3g} {own_unit}"
         axes.annotate(text, (total, topic), xytext=(4, 0), textcoords="offset points", va="center")
     axes.set(xlabel=f"delivered payload, {unit}")
-    axes.margins(x=0.12)
+    axes.set_xlim(0, 1.15 * max(left))
     axes.grid(False, axis="y")
     _legend_beside(axes)
     return _svg(figure)

@@ -11,7 +11,7 @@ from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, VerdictRecord
 from netlab.medium.verdicts import Verdict
 
-_KINDS = frozenset(Kind) - {Kind.PACKET, Kind.LOG, Kind.PUBLISHED, Kind.RECEIVED}
+_KINDS = frozenset({Kind.VERDICT, Kind.MAP, Kind.POSES})
 _NS_PER_S = 1e9
 
 Place = tuple[float, float]
@@ -52,9 +52,9 @@ def load_scene(path: Path) -> Scene:
                 success.add(pair, at_s, float(record.departs_ns > 0))
                 if record.rssi_dbm is not None:
                     rssi_dbm.add(pair, at_s, record.rssi_dbm)
-            elif isinstance(record, JsonRecord) and record.topic == "/poses":
+            elif isinstance(record, JsonRecord) and record.kind is Kind.POSES:
                 _poses(scene, record.payload, at_s)
-            elif isinstance(record, JsonRecord) and record.topic == "/map":
+            elif isinstance(record, JsonRecord):
                 _map(scene, record.payload)
     scene.success, scene.rssi_dbm = success.series(), rssi_dbm.series()
     return scene
