@@ -1,8 +1,8 @@
 """Who can talk to whom while radios go by positions: when two nodes come into contact and when they lose it.
 
-Theory. Fading lets a weak pair be heard in one twentieth of a second and not in the next, so a contact is lost only when
-the pair has not been heard for ``LOST_AFTER_S``, and made when it has been for ``MADE_AFTER_S`` (both directions at
-once). Each is an act on the timeline: a contact that is made restores its two nodes, and in a mesh joins the ends of
+Theory. Fading lets a weak pair be heard in one twentieth of a second and not in the next, so a contact is lost only
+when the pair has not been heard for ``LOST_AFTER_S``, and made when it has been for ``MADE_AFTER_S`` (both directions
+at once). Each is an act on the timeline: a contact that is made restores its two nodes, and in a mesh joins the ends of
 streams that a path leads between again. What the timeline or a person holds down stays down in any case.
 """
 
