@@ -2,8 +2,9 @@
 
 Theory. Fading lets a weak pair be heard in one twentieth of a second and not in the next, so a contact is lost only
 when the pair has not been heard for ``LOST_AFTER_S``, and made when it has been for ``MADE_AFTER_S`` (both directions
-at once). Each is an act on the timeline: a contact that is made restores its two nodes, and in a mesh joins the ends of
-streams that a path leads between again. What the timeline or a person holds down stays down in any case.
+at once). Each is an act on the timeline, stamped with when that began: a contact that is made restores its two nodes,
+and in a mesh joins the ends of streams that a path leads between again. What the timeline or a person holds down stays
+down in any case.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class Contacts:
         self._contrary_since_s = np.full((count, count), np.nan)
         self._begun = False
 
-    def update(self, heard: Heard, at_s: float) -> list[tuple[int, int]]:
-        """Take note of who hears whom ``[sender, receiver]``; returns the pairs (one < other) that changed.
+    def update(self, heard: Heard, at_s: float) -> list[tuple[int, int, float]]:
+        """Take note of who hears whom ``[sender, receiver]``; returns what changed: (one, other > one, since when).
 
         The first call sets the beginning, and nothing has changed then.
         """
@@ -51,7 +52,7 @@ class Contacts:
             return []
         self.made = np.where(changed, both, self.made)
         self._contrary_since_s[changed] = np.nan
-        return [(int(one), int(other)) for one, other in np.argwhere(np.triu(changed, 1))]
+        return [(int(one), int(other), float(since_s[one, other])) for one, other in np.argwhere(np.triu(changed, 1))]
 
 
 class ContactWatch:
@@ -77,14 +78,14 @@ class ContactWatch:
             return
         joined = [self._joined(made) for made in (before, self._contacts.made)] if self._meshed_ends else [set(), set()]
         meant: dict[str, object] = {"reroutes": sorted(joined[0] & joined[1]), "rejoins": sorted(joined[1] - joined[0])}
-        for one, other in changed:
+        for one, other, since_s in changed:
             made = bool(self._contacts.made[one, other])
             a, b = self._nodes[one], self._nodes[other]
             key = "rejoins" if made else "reroutes"
             plain = made and self._scenario.meshes[a] is None and self._is_free(self._ports[one], self._ports[other])
             marks = {"restores": [a, b] if plain else None, key: meant.pop(key, [])}
             label = f"{a} and {b} {'hear' if made else 'lose'} each other"
-            self._recording.timeline(Kind.RADIO, label, at_s=at_s, **marks)
+            self._recording.timeline(Kind.RADIO, label, at_s=since_s, ago_s=at_s - since_s, **marks)
 
     def is_made(self, a: str, b: str) -> bool:
         """Whether two nodes are in contact by these radios."""

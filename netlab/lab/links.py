@@ -131,6 +131,10 @@ class Links:
             )
         return rows
 
+    def is_held(self, pair: Pair) -> bool:
+        """Whether somebody holds the pair, or a cable at its ends, down."""
+        return any(pair in held for held in self._out.values()) or bool(_held(self._unplugged) & set(pair))
+
     def _state(self, pair: Pair) -> str:
         if self._impairments[pair] is None or not self.signals.is_heard(pair):
             return "out_of_range"

@@ -38,7 +38,9 @@ class Motion:
         self._moves: tuple[Move, ...] = ()
         self.tracks = tracks(scenario)
         self.on_tick: Callable[[float], None] = lambda at_s: None
-        self._moves_at_all = any(len(set(track.points_m)) > 1 for track in self.tracks)
+        #: Whether the radios of two nodes are in contact, as far as that goes by places.
+        self.in_contact: Callable[[str, str], bool] = lambda _a, _b: True
+        self._moves_at_all = any(len(set(track.points_m)) > 1 or track.active_from_s > 0 for track in self.tracks)
         #: Whether something else than places changes with time.
         self.always_ticks = False
         self._t0_ns: int | None = None

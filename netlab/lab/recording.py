@@ -76,9 +76,10 @@ class Recording:
         except OSError:
             self.lines_dropped += 1
 
-    def timeline(self, kind: str, label: str, *, at_s: float | None, **more: Any) -> None:
-        """Record an act on the lab, stamped now."""
-        self._message("/timeline", {"kind": kind, "label": label, "at_s": at_s, **more})
+    def timeline(self, kind: str, label: str, *, at_s: float | None, ago_s: float = 0.0, **more: Any) -> None:
+        """Record an act on the lab, stamped ``ago_s`` before now."""
+        payload = {"kind": kind, "label": label, "at_s": at_s, **more}
+        self.message("/timeline", payload, time.time_ns() - round(ago_s * 1e9))
 
     def links(self, rows: list[dict[str, Any]]) -> None:
         """Record the state of links, stamped now."""

@@ -72,6 +72,8 @@ class ScenarioRun:
         self.streams: dict[int, dict[str, Any]] = {}
         #: Whether every stream of a mesh has a route yet; asked before t = 0.
         self.has_routes: Callable[[], bool] = lambda: True
+        #: Whether two nodes can hear each other when nothing holds them down.
+        self.in_contact: Callable[[str, str], bool] = lambda _a, _b: True
         #: The processes of a node that has just been dropped.
         self.specs_of: Callable[[str], list[ProcessSpec]] = lambda _node: []
         self.on_start: Callable[[int], None] = lambda _t0_ns: None
@@ -160,7 +162,10 @@ class ScenarioRun:
                 self._deploy(node, set(pairs))
             case MoveNode():
                 pass  # the motions say where it is
-        self._recording.timeline(kind, label, at_s=at_s, **{"restores": None, **joins})
+        if not self.in_contact(*map(str, joins.get("restores", ("", "")))):
+            joins.pop("restores")
+        meaning: dict[str, Any] = {"restores": None, **joins}
+        self._recording.timeline(kind, label, at_s=at_s, **meaning)
         if isinstance(action, SetPairs | SetOutage | SetCarrier | DeployNode):
             self._recording.links(self._links.describe())
 

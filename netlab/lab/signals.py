@@ -24,10 +24,17 @@ class Signals:
         }
         self._place = {port: segment.ports.index(port) for port, segment in self._segment_of.items()}
         self._rows: dict[str, list[list[float]]] = {}
+        self._matrices: dict[str, NDArray[np.float64]] = {}
 
     def set(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
         """Take note of a segment's strengths, ``[sender, receiver]`` in the order of its ports."""
         self._rows[segment] = rssi_dbm.tolist()
+        self._matrices[segment] = rssi_dbm
+
+    def heard(self, segment: Segment) -> NDArray[np.bool_]:
+        """:meth:`is_heard` of all pairs of a segment with strengths, ``[sender, receiver]``."""
+        assert segment.channel is not None
+        return self._matrices[segment.name] - segment.channel.noise_dbm >= least_snr_db(segment.channel.phy)
 
     def rssi_dbm(self, pair: Pair) -> float | None:
         """How strongly the receiver hears the sender; -inf for not at all, None where nobody has said."""

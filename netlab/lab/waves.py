@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from netlab.engines.base import LabPlan
 from netlab.errors import LabError
+from netlab.lab.contacts import ContactWatch
 from netlab.lab.links import Links
 from netlab.lab.motion import Motion
 from netlab.lab.recording import Recording
@@ -62,17 +63,29 @@ def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: M
     physics = scenario.radio.propagation.physics
     assert physics is not None
     waves = Waves(scenario, plan, links, physics)
+    watches = [
+        (segment, ContactWatch(scenario, plan, segment, links, recording))
+        for segment in plan.segments
+        if segment.channel is not None
+    ]
     due_s = 0.0
 
     def on_tick(at_s: float) -> None:
         nonlocal due_s
         with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
             waves.update(at_s, motion.tracks)
+        for segment, watch in watches:
+            watch.update(links.signals.heard(segment), at_s)
         if at_s >= due_s:
             due_s = at_s + _RECORD_EVERY_S
             recording.links(links.describe(heard_only=True))
 
     waves.update(0.0, motion.tracks)
+    for segment, watch in watches:
+        watch.update(links.signals.heard(segment), 0.0)
+    motion.in_contact = lambda a, b: (
+        scenario.joined(a, b) != ("radio",) or any(watch.is_made(a, b) for _, watch in watches)
+    )
     motion.on_tick = on_tick
     motion.always_ticks = physics.fading and physics.drift_hz > 0
     return _heard_plan(plan, links)

@@ -169,7 +169,7 @@ class _Activity:
         if isinstance(entry, RerouteExpectation):
             yield from self._reroute_query(a, b, path, meshed=meshed)
         radio = self._scenario.radio
-        if "events" in self._doubt.sections or (radio and radio.propagation.file):
+        if "events" in self._doubt.sections or (radio and (radio.propagation.file or radio.propagation.physics)):
             return
         cuts = [part for event in self._scenario.events if (part := event.outage or event.flap)]
         if not any(meshed or set(part.ends) == {a, b} for part in cuts):

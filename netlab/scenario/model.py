@@ -89,7 +89,7 @@ class Scenario(StrictModel):
         media: list[Literal["wire", "radio"]] = []
         if frozenset((a, b)) in self._wired:
             media.append("wire")
-        if self.radio is not None and all(self.nodes[name].radio != "none" for name in (a, b)):
+        if self.radio is not None and {a, b} <= set(self.radio_nodes):
             media.append("radio")
         return tuple(media)
 

@@ -17,10 +17,13 @@ def heard(*pairs: tuple[int, int], count: int = 3) -> np.ndarray:
     return matrix
 
 
-def changes(contacts: Contacts, matrix: np.ndarray, from_s: float, to_s: float) -> list[tuple[float, tuple[int, int]]]:
+def changes(
+    contacts: Contacts, matrix: np.ndarray, from_s: float, to_s: float
+) -> list[tuple[float, float, tuple[int, int]]]:
     found = []
     for number in range(round(from_s / TICK_S), round(to_s / TICK_S)):
-        found += [(number * TICK_S, pair) for pair in contacts.update(matrix, number * TICK_S)]
+        at_s = number * TICK_S
+        found += [(at_s, since_s, (one, other)) for one, other, since_s in contacts.update(matrix, at_s)]
     return found
 
 
@@ -34,10 +37,11 @@ def test_what_is_heard_at_the_beginning_is_no_news() -> None:
 def test_a_contact_is_made_soon_and_lost_late() -> None:
     contacts = Contacts(3)
     contacts.update(heard(), 0.0)
-    [(made_s, pair)] = changes(contacts, heard((1, 2)), 1.0, 3.0)
+    [(made_s, since_s, pair)] = changes(contacts, heard((1, 2)), 1.0, 3.0)
     assert pair == (1, 2)
+    assert since_s == pytest.approx(1.0)
     assert made_s == pytest.approx(1.0 + MADE_AFTER_S)
-    [(lost_s, pair)] = changes(contacts, heard(), 3.0, 6.0)
+    [(lost_s, since_s, pair)] = changes(contacts, heard(), 3.0, 6.0)
     assert pair == (1, 2)
     assert lost_s == pytest.approx(3.0 + LOST_AFTER_S)
 
@@ -55,5 +59,6 @@ def test_a_fade_in_between_begins_the_wait_anew() -> None:
     assert changes(contacts, heard(count=2), 0.05, 1.0) == []
     assert changes(contacts, heard((0, 1), count=2), 1.0, 1.05) == []
     assert changes(contacts, heard(count=2), 1.05, 2.0) == []
-    [(lost_s, _)] = changes(contacts, heard(count=2), 2.0, 2.2)
+    [(lost_s, since_s, _)] = changes(contacts, heard(count=2), 2.0, 2.2)
+    assert since_s == pytest.approx(1.05)
     assert lost_s == pytest.approx(2.05)
