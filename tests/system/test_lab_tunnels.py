@@ -1,4 +1,4 @@
-"""Radios in tunnels: who is in contact when, in a lab and in its capture. In virtual time, where every figure is exact."""
+"""Radios in tunnels: who is in contact when, in a lab and in its capture; in virtual time, where figures are exact."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def test_a_robot_behind_the_corner_comes_back(make_lab: MakeLab) -> None:
 @pytest.mark.lab_clock("virtual")
 def test_contact_ends_and_returns_where_the_model_says(make_lab: MakeLab) -> None:
     # Without fading: in sight of (0, 0) up to the y where 100 y / hypot(100, y) is half a width, 2 m: y = 2.0004 m. At
-    # 2.5 m/s from (60, 0) that is at (40 + 2.0004) / 2.5 = 16.80 s; the robot pauses 3 s at 25 m, from 26 to 29 s, and is
-    # back in sight at 29 + (25 - 2.0004) / 2.5 = 38.20 s. A tick is 0.05 s.
+    # 2.5 m/s from (60, 0) that is at (40 + 2.0004) / 2.5 = 16.80 s; the robot pauses 3 s at 25 m, from 26 to 29 s, and
+    # is back in sight at 29 + (25 - 2.0004) / 2.5 = 38.20 s. A tick is 0.05 s.
     result = make_lab(corner(fading=False, shadowing="0dB"), packets=False).run()
     steps = {step.label: result.trace.seconds(step.t_ns) for step in result.trace.timeline}
     assert steps["base and robot lose each other"] == pytest.approx(16.80, abs=0.06)
