@@ -1,8 +1,9 @@
 """From a scenario to the plan that an engine builds: ports, addresses, one impairment for each directed pair.
 
-Addresses: wire i is 10.{1 + i // 256}.{i % 256}.0/24 with .1 and .2 at its ends; the radio is 10.200.0.0/16 with the
-node's place in the scenario, from 1, as host number; meshes are 10.240.0.0/16 alike, and their members have none. MAC
-addresses are locally administered and follow port indices, those of mesh interfaces the node's place.
+Addresses: wire i is 10.{1 + i // 256}.{i % 256}.0/24 with .1 and .2 at its ends; radios are in 10.200.0.0/16 with the
+node's place in the scenario, from 1, as host number, those on a second frequency in 10.201.0.0/16 and so on; meshes are
+10.240.0.0/16 alike, and their members have none. MAC addresses are locally administered and follow port indices, those
+of mesh interfaces the node's place.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from netlab.timeline.impairments import Impairments
 from netlab.timeline.paths import RadioWords
 
 RADIO_SEGMENT = "radio"
-RADIO_INTERFACE = "radio0"
+RADIO_PREFIX = "radio"
+_RadioPorts = dict[float, list[tuple[str, int]]]  # by frequency in Hz: nodes and their ports
 
 
 def compile_plan(scenario: Scenario) -> LabPlan:
@@ -39,19 +41,7 @@ def compile_plan(scenario: Scenario) -> LabPlan:
         )
         for wire, (a, b) in zip(wires, wire_ports, strict=True)
     ]
-    if radio_ports:
-        pairs = _radio_pairs(scenario, radio_ports, impairments)
-        members = tuple(radio_ports.values())
-        segments.append(
-            Segment(
-                RADIO_SEGMENT,
-                SegmentKind.RADIO,
-                members,
-                pairs,
-                wifi=_wifi(scenario.radio),
-                channel=_channel(scenario.radio),
-            )
-        )
+    segments += _radio_segments(scenario, radio_ports, impairments)
     meshes = tuple(_meshes(scenario, ports))
     return LabPlan(scenario.name, scenario.seed, tuple(scenario.nodes), tuple(ports), tuple(segments), meshes)
 
@@ -85,31 +75,50 @@ class _End:
     wire: tuple[int, int] | None
 
 
-def _ports(scenario: Scenario, wires: Iterable[Wire]) -> tuple[list[Port], list[Pair], dict[str, int]]:
-    """Number the interfaces node by node; return the ports, those of every wire, and each node's radio port."""
+def _ports(scenario: Scenario, wires: Iterable[Wire]) -> tuple[list[Port], list[Pair], _RadioPorts]:
+    """Number the interfaces node by node; return the ports, those of every wire, and those of every frequency."""
     ends: dict[str, list[_End]] = {name: [] for name in scenario.nodes}
     count = 0
     for index, wire in enumerate(wires):
         for side, node in enumerate((wire.a, wire.b)):
             ends[node].append(_End(f"eth{len(ends[node])}", wire_address(index, side + 1), (index, side)))
         count += 1
-    radio_nodes, wifi = set(scenario.radio_nodes), _wifi(scenario.radio) is not None
+    wifi = _wifi(scenario.radio) is not None
     ports: list[Port] = []
     at: dict[tuple[int, int], int] = {}
-    radio_ports: dict[str, int] = {}
+    radio_ports: _RadioPorts = {}
     for place, node in enumerate(scenario.nodes, start=1):
         for end in ends[node]:
             assert end.wire is not None
             at[end.wire] = len(ports)
             ports.append(_port(scenario, node, len(ports), end.ifname, end.address))
-        if node in radio_nodes and not wifi:
-            radio_ports[node] = len(ports)
-            ports.append(_port(scenario, node, len(ports), RADIO_INTERFACE, _radio_address(place)))
+        if not wifi:
+            _add_radios(scenario, place, node, ports, radio_ports)
     for place, node in enumerate(scenario.nodes, start=1):
-        if node in radio_nodes and wifi:  # last: the engine of the wires knows nothing of them
-            radio_ports[node] = len(ports)
-            ports.append(_port(scenario, node, len(ports), RADIO_INTERFACE, _radio_address(place)))
+        if wifi:  # last: the engine of the wires knows nothing of them
+            _add_radios(scenario, place, node, ports, radio_ports)
     return ports, [(at[index, 0], at[index, 1]) for index in range(count)], radio_ports
+
+
+def _add_radios(scenario: Scenario, place: int, node: str, ports: list[Port], radio_ports: _RadioPorts) -> None:
+    for number, radio in enumerate(scenario.radios(node)):
+        members = radio_ports.setdefault(radio.frequency_hz, [])
+        channel = list(radio_ports).index(radio.frequency_hz)
+        members.append((node, len(ports)))
+        ports.append(_port(scenario, node, len(ports), f"{RADIO_PREFIX}{number}", _radio_address(channel, place)))
+
+
+def _radio_segments(scenario: Scenario, radio_ports: _RadioPorts, impairments: Impairments) -> Iterator[Segment]:
+    """One segment for each frequency; the first one found is simply the radio."""
+    for channel, (frequency_hz, members) in enumerate(radio_ports.items()):
+        yield Segment(
+            f"{RADIO_SEGMENT}-{frequency_hz / 1e6:g}MHz" if channel else RADIO_SEGMENT,
+            SegmentKind.RADIO,
+            tuple(port for _, port in members),
+            _radio_pairs(scenario, members, impairments),
+            wifi=_wifi(scenario.radio),
+            channel=_channel(scenario, frequency_hz),
+        )
 
 
 def _port(scenario: Scenario, node: str, index: int, ifname: str, address: str) -> Port:
@@ -149,8 +158,8 @@ def wire_address(wire: int, host: int) -> str:
     return f"10.{1 + wire // 256}.{wire % 256}.{host}/24"
 
 
-def _radio_address(place: int) -> str:
-    return f"10.200.{place // 256}.{place % 256}/16"
+def _radio_address(channel: int, place: int) -> str:
+    return f"10.{200 + channel}.{place // 256}.{place % 256}/16"
 
 
 def _wifi(radio: Radio | None) -> Wifi | None:
@@ -159,15 +168,17 @@ def _wifi(radio: Radio | None) -> Wifi | None:
     return Wifi(WifiMode(radio.mode), radio.network, radio.hwsim_frequency_mhz, radio.retry_limit, radio.monitor)
 
 
-def _channel(radio: Radio | None) -> ChannelSpec | None:
-    if radio is None or radio.phy is None:
+def _channel(scenario: Scenario, frequency_hz: float) -> ChannelSpec | None:
+    """The airtime of a frequency; its radios are all of one kind, see check_radio."""
+    everybody = (radio for node in scenario.radio_nodes for radio in scenario.radios(node))
+    settings = next(radio for radio in everybody if radio.frequency_hz == frequency_hz)
+    if settings.phy is None:
         return None
-    spec = ChannelSpec(radio.phy, rate_bps=radio.rate_bps)
-    if radio.noise_dbm is not None:
-        spec = replace(spec, noise_dbm=radio.noise_dbm)
-    if radio.limit is not None:
-        spec = replace(spec, limit_packets=radio.limit.packets, limit_bytes=radio.limit.size_bytes)
-    return spec
+    spec = ChannelSpec(settings.phy, rate_bps=settings.rate_bps)
+    if settings.noise_dbm is not None:
+        spec = replace(spec, noise_dbm=settings.noise_dbm)
+    limit = None if scenario.radio is None else scenario.radio.limit
+    return spec if limit is None else replace(spec, limit_packets=limit.packets, limit_bytes=limit.size_bytes)
 
 
 def _mac(index: int) -> bytes:
@@ -181,11 +192,14 @@ def _wire_pairs(wire: Wire, a: int, b: int, impairments: Impairments) -> dict[Pa
     return {(a, b): forward, (b, a): backward}
 
 
-def _radio_pairs(scenario: Scenario, ports: dict[str, int], impairments: Impairments) -> dict[Pair, Impairment]:
+def _radio_pairs(
+    scenario: Scenario, members: list[tuple[str, int]], impairments: Impairments
+) -> dict[Pair, Impairment]:
     radio = RadioWords(scenario)
     pairs: dict[Pair, Impairment] = {}
     if radio.default is not None:
-        pairs = dict.fromkeys(permutations(ports.values(), 2), impairments.of(radio.default))
+        pairs = dict.fromkeys(permutations((port for _, port in members), 2), impairments.of(radio.default))
+    ports = dict(members)  # only where each node has one radio are there special hops
     for sender, receiver in radio.special_hops():
         words = radio.get((sender, receiver))
         pair = (ports[sender], ports[receiver])

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from netlab.engines.base import LabPlan
+from netlab.engines.plan import RADIO_PREFIX
 from netlab.errors import LabError
 from netlab.lab.contacts import ContactWatch
 from netlab.lab.links import Links
@@ -17,7 +18,6 @@ from netlab.lab.motion import Motion
 from netlab.lab.recording import Recording
 from netlab.medium.segments import Segment
 from netlab.scenario.model import Scenario
-from netlab.scenario.radio_physics import DEFAULT_FREQUENCY_HZ, RadioEnds
 from netlab.world.budget import LinkBudget, RadioUnit
 from netlab.world.propagation.model import PropagationModel
 from netlab.world.tracks import Track
@@ -110,20 +110,16 @@ def _channels(scenario: Scenario, plan: LabPlan, physics: PropagationModel) -> l
 
 def _units(scenario: Scenario, plan: LabPlan, segment: Segment) -> list[RadioUnit]:
     """The segment's radios in the order of its ports."""
-    radio = scenario.radio
-    assert radio is not None
     units = []
-    for index in segment.ports:
-        port = plan.ports[index]
-        node = scenario.nodes[port.node]
-        own = node.radio if isinstance(node.radio, RadioEnds) else RadioEnds()
+    for port in (plan.ports[index] for index in segment.ports):
+        radio = scenario.radios(port.node)[int(port.ifname.removeprefix(RADIO_PREFIX))]
         units.append(
             RadioUnit(
                 name=f"{port.node} {port.ifname}",
                 node=plan.nodes.index(port.node),
-                frequency_hz=own.frequency_hz or radio.frequency_hz or DEFAULT_FREQUENCY_HZ,
-                tx_power_dbm=radio.tx_power_dbm if own.tx_power_dbm is None else own.tx_power_dbm,
-                antenna=(own.antenna or radio.antenna).antenna(),
+                frequency_hz=radio.frequency_hz,
+                tx_power_dbm=radio.tx_power_dbm,
+                antenna=radio.antenna.antenna(),
             )
         )
     return units

@@ -9,7 +9,7 @@ from netlab.scenario.document import Path
 from netlab.scenario.model import Scenario
 from netlab.scenario.problems import Problem
 from netlab.scenario.radio import HWSIM_CHANNELS_MHZ
-from netlab.scenario.radio_physics import RadioEnds
+from netlab.scenario.radio_physics import RadioSettings, wrong_rate
 from netlab.scenario.words import Words
 
 #: 802.11 has no such thing between two radios: a damaged frame fails its checksum and is lost, a second copy is
@@ -19,6 +19,8 @@ WORDS_NOT_FOR_WIFI = ("duplicate", "reorder", "corrupt")
 WORDS_NOT_FOR_CHANNEL = {"rate_bps": "rate", "limit": "limit"}
 _RSSI_BELONGS = "rssi belongs to 802.11 radios (radio: phy, or driver: hwsim); remove it"
 
+#: Each has a subnet of its own, from 10.200.0.0/16 to below the meshes' 10.240.0.0/16.
+MOST_CHANNELS = 40
 _NO_HWSIM_CHANNEL = (
     "is not the centre of a channel that may be used here; use 2412MHz to 2462MHz in steps of 5MHz, "
     "5180, 5200, 5220 or 5240MHz, or 5745MHz to 5825MHz in steps of 20MHz"
@@ -58,9 +60,34 @@ def _waves(scenario: Scenario) -> Iterator[Problem]:
         what = f"model {radio.propagation.model} is about tunnels, and there are none"
         yield ("radio", "propagation", "model"), f"{what}; add terrain, or use log_distance"
     for name, node in scenario.nodes.items():
-        if isinstance(node.radio, RadioEnds) and physics is None:
+        if isinstance(node.radio, tuple) and physics is None:
             what = "a radio of its own means nothing here" if radio is not None else "there is no radio"
             yield ("nodes", name, "radio"), f"{what}; give radio: a propagation model that goes by positions"
+    if physics is not None:
+        yield from _channels(scenario)
+
+
+def _channels(scenario: Scenario) -> Iterator[Problem]:
+    """What radios on one frequency do not have in common, and nodes that would be on one twice."""
+    first: dict[float, tuple[str, RadioSettings]] = {}
+    for name in scenario.radio_nodes:
+        seen: set[float] = set()
+        for place, radio in enumerate(scenario.radios(name)):
+            path: Path = (
+                ("nodes", name, "radio") if len(scenario.radios(name)) == 1 else ("nodes", name, "radio", place)
+            )
+            complaint = wrong_rate(radio.phy, radio.rate_bps) if radio.phy and radio.rate_bps else None
+            if complaint is not None:
+                yield path, complaint
+            other, settings = first.setdefault(radio.frequency_hz, (name, radio))
+            if settings.channel != radio.channel:
+                what = f"'{other}' has another phy, rate or noise on {radio.frequency_hz / 1e6:g}MHz"
+                yield path, f"{what}; radios on one frequency share a channel: make them equal, or change the frequency"
+            if radio.frequency_hz in seen and scenario.meshes[name] is None:
+                yield path, "two radios of one node on one frequency need a mesh to tell them apart; add mesh: flood"
+            seen.add(radio.frequency_hz)
+    if len(first) > MOST_CHANNELS:
+        yield ("radio",), f"there are {len(first)} frequencies; the most is {MOST_CHANNELS}"
 
 
 class _Kind(Enum):

@@ -24,6 +24,7 @@ from netlab.scenario.motion import MotionFile
 from netlab.scenario.nodes import MeshSettings, Node
 from netlab.scenario.quantities import PositiveSeconds
 from netlab.scenario.radio import Radio
+from netlab.scenario.radio_physics import RadioSettings
 from netlab.scenario.terrain import Terrain
 from netlab.scenario.traffic import ALL, Stream, Traffic
 
@@ -75,6 +76,15 @@ class Scenario(StrictModel):
         """The nodes with a radio, in order."""
         return tuple(name for name, node in self.nodes.items() if node.radio != "none") if self.radio else ()
 
+    def radios(self, node: str) -> tuple[RadioSettings, ...]:
+        """The radios of a node, in the order of their interfaces radio0, radio1, ..."""
+        own = self.nodes[node].radio
+        return () if self.radio is None or own == "none" else self.radio.settings(own)
+
+    @cached_property
+    def _frequencies_hz(self) -> Mapping[str, frozenset[float]]:
+        return {name: frozenset(radio.frequency_hz for radio in self.radios(name)) for name in self.nodes}
+
     @property
     def at_rest(self) -> tuple[str, ...]:
         """The nodes that take part from the start, in order: all but those that are carried."""
@@ -89,7 +99,7 @@ class Scenario(StrictModel):
         media: list[Literal["wire", "radio"]] = []
         if frozenset((a, b)) in self._wired:
             media.append("wire")
-        if self.radio is not None and {a, b} <= set(self.radio_nodes):
+        if self._frequencies_hz[a] & self._frequencies_hz[b]:
             media.append("radio")
         return tuple(media)
 
@@ -128,8 +138,12 @@ class Scenario(StrictModel):
     @cached_property
     def _mesh_parts(self) -> Mapping[str, Hashable]:
         joins = [link.ends for link in self.links if set(link.ends) <= self.nodes.keys()]
-        of_kind: dict[MeshKind | None, str] = {}
-        joins += [(of_kind.setdefault(self.meshes[name], name), name) for name in self.radio_nodes]
+        on_air: dict[tuple[MeshKind | None, float], str] = {}  # anybody of that mesh on that frequency
+        joins += [
+            (on_air.setdefault((self.meshes[name], frequency_hz), name), name)
+            for name in self.radio_nodes
+            for frequency_hz in self._frequencies_hz[name]
+        ]
         return components(self.nodes, (ends for ends in joins if same_mesh(self.meshes, *ends)))
 
     def batman_options(self, node: str) -> BatmanOptions:

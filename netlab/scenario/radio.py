@@ -10,6 +10,7 @@ from pydantic import (
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     PrivateAttr,
+    TypeAdapter,
     WithJsonSchema,
     model_validator,
 )
@@ -18,17 +19,23 @@ from pydantic_core import CoreSchema
 from netlab.scenario.base import NotYet, StrictModel, Switch, suggestion
 from netlab.scenario.link_trace import LinkTraceFile
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import POWER, Quantity, describe
+from netlab.scenario.quantities import describe
 from netlab.scenario.radio_physics import (
+    DEFAULT_FREQUENCY_HZ,
     DEFAULT_TX_POWER_DBM,
     MODEL_NAMES,
+    PHY_NAMES,
     AntennaWords,
     Carrier,
+    NoiseFloor,
+    PhyName,
     RadioEnds,
+    RadioSettings,
     TransmitPower,
     is_physical,
     model_schemas,
     propagation_model,
+    wrong_rate,
 )
 from netlab.scenario.words import Words
 
@@ -109,6 +116,7 @@ class Propagation(StrictModel):
 HWSIM_CHANNELS_MHZ = (*range(2412, 2463, 5), 5180, 5200, 5220, 5240, *range(5745, 5826, 20))
 _HWSIM_KEYS = ("mode", "mesh_id", "ssid", "retry_limit", "monitor", "rssi")
 _PHYSICAL_KEYS = ("frequency", "tx_power", "antenna")
+_MOST_RADIOS = 8
 _MOST_NAME_BYTES = 32  # IEEE 802.11-2016, 9.4.2.2 and 9.4.2.99
 
 
@@ -116,26 +124,6 @@ def _network_name(value: object) -> str:
     if not isinstance(value, str) or not 1 <= len(value.encode()) <= _MOST_NAME_BYTES or "\0" in value:
         raise ValueError(f"expected a name of 1 to {_MOST_NAME_BYTES} bytes, found {describe(value)}")
     return value
-
-
-#: The radios of netlab.medium.phy, whose tables a scenario without phy does without.
-PHY_NAMES = ("802.11g-20MHz", "802.11n-20MHz-1x1", "802.11n-20MHz-2x2", "subt")
-
-
-def _phy(value: object) -> str:
-    if value not in PHY_NAMES:
-        raise ValueError(f"unknown phy {describe(value)}; {suggestion(str(value), PHY_NAMES, 'known are')}")
-    return str(value)
-
-
-def _wrong_rate(phy: str, rate_bps: float) -> str | None:
-    from netlab.medium.phy import PHYS
-
-    try:
-        PHYS[phy].rate(rate_bps)
-    except ValueError as error:
-        return f"rate: {error}"
-    return None
 
 
 NetworkName = Annotated[str, BeforeValidator(_network_name), WithJsonSchema({"type": "string", "maxLength": 32})]
@@ -157,10 +145,8 @@ class Radio(Words):
     frequency_hz: Carrier | None = Field(default=None, alias="frequency")
     retry_limit: Annotated[int, Field(ge=1, le=64)] = 7
     monitor: Switch = False
-    phy: Annotated[str, BeforeValidator(_phy), WithJsonSchema({"enum": list(PHY_NAMES)})] | None = None
-    noise_dbm: Annotated[float, Quantity(POWER, minimum=-120.0, maximum=-30.0)] | None = Field(
-        default=None, alias="noise"
-    )
+    phy: PhyName | None = None
+    noise_dbm: NoiseFloor | None = Field(default=None, alias="noise")
     tx_power_dbm: TransmitPower = Field(default=DEFAULT_TX_POWER_DBM, alias="tx_power")
     antenna: AntennaWords = AntennaWords()
 
@@ -180,6 +166,21 @@ class Radio(Words):
         words = Words().laid_over(self)
         return words if self.phy is None else words.model_copy(update={"rate_bps": None, "limit": None})
 
+    def settings(self, own: tuple[RadioEnds, ...] | None) -> tuple[RadioSettings, ...]:
+        """The radios of a node that has ``own`` ones; None has one that is as all are."""
+        return tuple(self._filled(radio) for radio in (own or (RadioEnds(),)))
+
+    def _filled(self, own: RadioEnds) -> RadioSettings:
+        rate_bps = self.rate_bps if own.phy in (None, self.phy) else None  # a rate of one kind is none of another
+        return RadioSettings(
+            frequency_hz=own.frequency_hz or self.frequency_hz or DEFAULT_FREQUENCY_HZ,
+            tx_power_dbm=self.tx_power_dbm if own.tx_power_dbm is None else own.tx_power_dbm,
+            antenna=own.antenna or self.antenna,
+            phy=own.phy or self.phy,
+            rate_bps=own.rate_bps or rate_bps,
+            noise_dbm=self.noise_dbm if own.noise_dbm is None else own.noise_dbm,
+        )
+
     @model_validator(mode="after")
     def _consistent_words(self) -> Self:
         if complaint := self.inconsistency() or self._misplaced() or self._misplaced_on_channel():
@@ -196,7 +197,7 @@ class Radio(Words):
                 f"{self.propagation.file.name} has rates, and with phy the radio's rate is everyone's; empty rate_mbit"
             )
         if self.rate_bps is not None:
-            return _wrong_rate(self.phy, self.rate_bps)
+            return wrong_rate(self.phy, self.rate_bps)
         return None
 
     def _misplaced(self) -> str | None:
@@ -227,17 +228,28 @@ class Radio(Words):
         return None
 
 
+_OWN_RADIOS = TypeAdapter(tuple[RadioEnds, ...])
+
+
 def node_radio(value: Any) -> object:
-    """Check a node's `radio:`; what is wrong in a block is told by its own key.
+    """Check a node's `radio:`: none, a block or a list of blocks; what is wrong in a block is told by its own key.
 
     Raises:
-        ValueError: Neither none nor a block.
+        ValueError: None of these.
     """
-    if isinstance(value, list):
-        raise ValueError("several radios in a node are not available yet; write one block, or none")
     if isinstance(value, str) and value != "none":
         raise ValueError(f"'{value}' is not possible here; write none, or a block of the node's own radio settings")
-    return RadioEnds.model_validate(value) if isinstance(value, dict) else value
+    if isinstance(value, dict):
+        return (RadioEnds.model_validate(value),)
+    if isinstance(value, list):
+        if not 1 <= len(value) <= _MOST_RADIOS:
+            raise ValueError(f"a node has 1 to {_MOST_RADIOS} radios; write none for a node without")
+        return _OWN_RADIOS.validate_python(value)
+    return value
 
 
-NodeRadio = Annotated[Literal["none"] | RadioEnds, BeforeValidator(node_radio)]
+NodeRadio = Annotated[
+    Literal["none"] | tuple[RadioEnds, ...],
+    BeforeValidator(node_radio),
+    WithJsonSchema({"anyOf": [{"const": "none"}, {"type": "object"}, {"type": "array", "items": {"type": "object"}}]}),
+]

@@ -7,13 +7,14 @@ wires does without: it is imported when a scenario names a model.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema
 
 from netlab.scenario.base import StrictModel, suggestion
-from netlab.scenario.quantities import ANGLE, DECIBELS, FREQUENCY, POWER, Quantity, describe
+from netlab.scenario.quantities import ANGLE, DECIBELS, FREQUENCY, POWER, BitsPerSecond, Quantity, describe
 
 if TYPE_CHECKING:
     from netlab.world.antenna import Antenna
@@ -152,13 +153,59 @@ class AntennaWords(StrictModel):
         )
 
 
+#: The radios of netlab.medium.phy, whose tables a scenario without phy does without.
+PHY_NAMES = ("802.11g-20MHz", "802.11n-20MHz-1x1", "802.11n-20MHz-2x2", "subt")
+
+
+def _phy(value: object) -> str:
+    if value not in PHY_NAMES:
+        raise ValueError(f"unknown phy {describe(value)}; {suggestion(str(value), PHY_NAMES, 'known are')}")
+    return str(value)
+
+
+PhyName = Annotated[str, BeforeValidator(_phy), WithJsonSchema({"enum": list(PHY_NAMES)})]
+NoiseFloor = Annotated[float, Quantity(POWER, minimum=-120.0, maximum=-30.0)]
 TransmitPower = Annotated[float, Quantity(POWER, minimum=-30.0, maximum=60.0)]
 Carrier = Annotated[float, Quantity(FREQUENCY, minimum=1e8, maximum=1e11)]
 
 
 class RadioEnds(StrictModel):
-    """What a node's own radio may have of its own; what is left out is as in the scenario's `radio:` block."""
+    """What a radio of a node may have of its own; what is left out is as in the scenario's `radio:` block.
+
+    All radios on one frequency are of one kind: ``phy``, ``rate_bps`` and ``noise_dbm`` are those of their channel.
+    """
 
     frequency_hz: Carrier | None = Field(default=None, alias="frequency")
     tx_power_dbm: TransmitPower | None = Field(default=None, alias="tx_power")
     antenna: AntennaWords | None = None
+    phy: PhyName | None = None
+    rate_bps: BitsPerSecond | None = Field(default=None, alias="rate")
+    noise_dbm: NoiseFloor | None = Field(default=None, alias="noise")
+
+
+@dataclass(frozen=True, slots=True)
+class RadioSettings:
+    """One radio of a node with everything filled in; ``phy`` None has no airtime, ``rate_bps`` None is adaptive."""
+
+    frequency_hz: float
+    tx_power_dbm: float
+    antenna: AntennaWords
+    phy: str | None
+    rate_bps: float | None
+    noise_dbm: float | None
+
+    @property
+    def channel(self) -> tuple[str | None, float | None, float | None]:
+        """What all radios on one frequency have in common."""
+        return self.phy, self.rate_bps, self.noise_dbm
+
+
+def wrong_rate(phy: str, rate_bps: float) -> str | None:
+    """Say which rates a radio has if this is none of them."""
+    from netlab.medium.phy import PHYS
+
+    try:
+        PHYS[phy].rate(rate_bps)
+    except ValueError as error:
+        return f"rate: {error}"
+    return None

@@ -143,13 +143,13 @@ class _Compiler:
         changes: dict[Pair, Impairment | None] = {}
         for hop in change.directions:
             wire = self._places.wire(hop) if change.over != "radio" else None
-            radio = self._places.radio(hop)
+            radios = self._places.radios(hop)
             if wire is not None:
                 self._wire_words.change(hop, change)
                 changes[wire] = self._impairments.of(self._wire_words.get(hop))
-            elif radio is not None and self._radio_words is not None:
+            elif radios and self._radio_words is not None:
                 self._radio_words.change(hop, change)
-                changes[radio] = self._heard(self._radio_words, hop)
+                changes |= dict.fromkeys(radios, self._heard(self._radio_words, hop))
         yield Entry(at_s, Kind.LINK, f"link {path_name(change)}: {words_text(change)}", SetPairs(changes))
 
     def _heard(self, radio_words: RadioWords, hop: Hop) -> Impairment | None:
@@ -176,8 +176,7 @@ class _Compiler:
         for row in rows:
             hop = (row.sender, row.receiver)
             radio_words.apply(row)
-            if (pair := self._places.radio(hop)) is not None:
-                changes[pair] = self._heard(radio_words, hop)
+            changes |= dict.fromkeys(self._places.radios(hop), self._heard(radio_words, hop))
         plural = "" if len(changes) == 1 else "s"
         yield Entry(at_s, Kind.TRACE, f"radio trace: {len(changes)} pair{plural}", SetPairs(changes))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING
 
 from netlab.medium.segments import SegmentKind
@@ -18,37 +19,42 @@ class Places:
 
     def __init__(self, plan: LabPlan) -> None:
         self._wires: dict[Hop, Pair] = {}
-        self._radios: dict[str, int] = {}
+        self._radios: list[dict[str, list[int]]] = []  # of each radio segment, the ports of every node
         for segment in plan.segments:
             nodes = [plan.ports[port].node for port in segment.ports]
             if segment.kind is SegmentKind.WIRE:
                 self._wires[nodes[0], nodes[1]] = (segment.ports[0], segment.ports[1])
                 self._wires[nodes[1], nodes[0]] = (segment.ports[1], segment.ports[0])
             else:
-                self._radios |= dict(zip(nodes, segment.ports, strict=True))
+                members: dict[str, list[int]] = {}
+                for node, port in zip(nodes, segment.ports, strict=True):
+                    members.setdefault(node, []).append(port)
+                self._radios.append(members)
 
     def wire(self, hop: Hop) -> Pair | None:
         """The pair of ports of the wire from one node to the other, if there is one."""
         return self._wires.get(hop)
 
-    def radio(self, hop: Hop) -> Pair | None:
-        """The pair of radio ports from one node to the other, if both have one."""
-        sender, receiver = (self._radios.get(name) for name in hop)
-        return None if sender is None or receiver is None else (sender, receiver)
+    def radios(self, hop: Hop) -> list[Pair]:
+        """The pairs of radio ports from one node to the other: of each channel that both are on."""
+        sender, receiver = hop
+        return [
+            pair for members in self._radios for pair in product(members.get(sender, ()), members.get(receiver, ()))
+        ]
 
     def all_between(self, a: str, b: str) -> set[Pair]:
         """Every pair of ports that joins two nodes, both ways."""
-        found = (place((x, y)) for place in (self.wire, self.radio) for x, y in ((a, b), (b, a)))
-        return {pair for pair in found if pair is not None}
+        wires = {pair for hop in ((a, b), (b, a)) if (pair := self.wire(hop)) is not None}
+        return wires.union(self.radios((a, b)), self.radios((b, a)))
 
     def pairs_of(self, node: str) -> frozenset[Pair]:
         """Every pair of radio ports to and from a node."""
-        others = [name for name in self._radios if name != node]
-        found = (self.radio(hop) for other in others for hop in ((node, other), (other, node)))
-        return frozenset(pair for pair in found if pair is not None)
+        others = {name for members in self._radios for name in members} - {node}
+        hops = [hop for other in others for hop in ((node, other), (other, node))]
+        return frozenset(pair for hop in hops for pair in self.radios(hop))
 
     def meant(self, event: PathEvent) -> tuple[set[Pair], set[Pair]]:
         """The pairs of the wire and those of the radios that an event is about."""
         wire = {self.wire(hop) for hop in event.directions} if event.over != "radio" else set()
-        radio = {self.radio(hop) for hop in event.directions} if event.over != "wire" else set()
-        return {pair for pair in wire if pair is not None}, {pair for pair in radio if pair is not None}
+        radio = {pair for hop in event.directions for pair in self.radios(hop)} if event.over != "wire" else set()
+        return {pair for pair in wire if pair is not None}, radio

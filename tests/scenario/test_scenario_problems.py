@@ -171,7 +171,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
             "s.yaml:5: nodes.relay.position: expected [x, y] or [x, y, z] in metres",
         ),
         ("  relay:", "  relay: {radio: {}}", "nodes.relay.radio: there is no radio; give radio: a propagation model"),
-        ("  relay:", "  relay: {radio: []}", "nodes.relay.radio: several radios in a node are not available yet"),
+        ("  relay:", "  relay: {radio: []}", "nodes.relay.radio: a node has 1 to 8 radios; write none"),
         ("  relay:", "  relay: {processes: [wnet]}", "nodes.relay.processes[0]: process 'wnet' is not available yet"),
         ("argv: [sleep, 100]", "argv: sleep", "s.yaml:4: nodes.robot1.processes[1]: argv is a list"),
         ("{argv: [sleep, 100]}", "udp_mesh", "s.yaml:4: nodes.robot1: two processes are called 'udp_mesh'"),

@@ -73,3 +73,29 @@ def _assert_links_are_recorded(lab: Lab) -> None:
     assert abs(float(mine[0]["snr_db"]) - (heard_dbm(0.0) + 91)) < 1  # type: ignore[arg-type]
     assert mine[-1]["state"] == "out_of_range"
     assert len(mine) <= 8  # a pair out of range is not told again and again
+
+
+MARSUPIAL = """
+duration: 1s
+mesh: flood
+radio: {phy: 802.11g-20MHz, propagation: {model: free_space}}
+nodes:
+  base: {position: [0, 0]}
+  parent: {position: [50, 0], radio: [{}, {frequency: 5.18GHz, phy: 802.11n-20MHz-2x2, tx_power: 10dBm}]}
+  uav: {position: [60, 0], radio: {frequency: 5.18GHz, phy: 802.11n-20MHz-2x2, tx_power: 10dBm}}
+"""
+
+
+def test_a_parent_with_two_radios_joins_two_channels(make_lab: MakeLab) -> None:
+    lab = make_lab(yaml.safe_load(MARSUPIAL))
+    assert lab.exec("base", "ping", "-c2", "-W2", "uav").returncode == 0
+    lab.run()
+    heard = set()
+    with Capture.open(lab.capture) as capture:
+        for record in capture.records({Kind.VERDICT}):
+            assert isinstance(record, VerdictRecord)
+            if record.verdict is Verdict.DELIVERED:
+                heard.add((record.sender, record.receiver))
+    parent = ("parent", "radio0"), ("parent", "radio1")
+    there = {(("base", "radio0"), parent[0]), (parent[1], ("uav", "radio0"))}
+    assert heard == there | {(b, a) for a, b in there}
