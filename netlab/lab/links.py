@@ -112,19 +112,23 @@ class Links:
             heard_only: Only pairs with a signal strength that is high enough, or was so at the last time.
         """
         counted = self._engine.pair_counters() if counters else {}
+        out, unplugged = _held(self._out), _held(self._unplugged)
+        words: dict[int, dict[str, Any]] = {}  # by identity: most pairs share one impairment
         rows = []
         for pair, impairment in self._impairments.items():
             segment = self._segment_of[pair]
             if (impairment is None and pair not in segment.pairs) or (heard_only and not self._newsworthy(pair)):
                 continue
             sender, receiver = self._names(pair)
+            if impairment is not None and id(impairment) not in words:
+                words[id(impairment)] = asdict(impairment)
             rows.append(
                 {
                     "segment": segment.name,
                     "from": sender,
                     "to": receiver,
-                    "state": self._state(pair),
-                    "impairment": asdict(impairment) if impairment is not None else None,
+                    "state": self._state(pair, out, unplugged),
+                    "impairment": words[id(impairment)] if impairment is not None else None,
                     **_signal(self.signals, pair),
                     **({"counters": asdict(counted[pair])} if pair in counted else {}),
                 }
@@ -135,12 +139,12 @@ class Links:
         """Whether somebody holds the pair, or a cable at its ends, down."""
         return any(pair in held for held in self._out.values()) or bool(_held(self._unplugged) & set(pair))
 
-    def _state(self, pair: Pair) -> str:
+    def _state(self, pair: Pair, out: set[Pair], unplugged: set[int]) -> str:
         if self._impairments[pair] is None or not self.signals.is_heard(pair):
             return "out_of_range"
-        if any(pair in held for held in self._out.values()):
+        if pair in out:
             return "outage"
-        return "no_carrier" if _held(self._unplugged) & set(pair) else "up"
+        return "no_carrier" if unplugged & set(pair) else "up"
 
     def _newsworthy(self, pair: Pair) -> bool:
         if self.signals.rssi_dbm(pair) is None:

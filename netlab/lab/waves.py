@@ -23,7 +23,8 @@ from netlab.world.propagation.model import PropagationModel
 from netlab.world.tracks import Track
 from netlab.world.world import World
 
-_RECORD_EVERY_S = 0.5
+#: The state of all pairs is recorded this often, in large teams that hear each other less often.
+_RECORD_EVERY_S, _MOST_ROWS_PER_S = 0.5, 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +78,9 @@ def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: M
         for segment, watch in watches:
             watch.update(links.signals.heard(segment), at_s)
         if at_s >= due_s:
-            due_s = at_s + _RECORD_EVERY_S
-            recording.links(links.describe(heard_only=True))
+            rows = links.describe(heard_only=True)
+            recording.links(rows)
+            due_s = at_s + max(_RECORD_EVERY_S, len(rows) / _MOST_ROWS_PER_S)
 
     waves.update(0.0, motion.tracks)
     for segment, watch in watches:
