@@ -47,7 +47,9 @@ def describe_mesh(mesh: Dissection) -> str:
     parts += [f"floor {floor}" for floor in mesh.floors]
     parts += [f"purged m{message_id}" for message_id in mesh.purged]
     parts += ["ping"] if mesh.pings else []
-    return "; ".join(parts) or "empty"
+    parts += [f"link {link.number} to {len(link.tags)}" for link in mesh.links]
+    text = "; ".join(parts) or "empty"
+    return f"bridged {text}" if mesh.is_bridged else text
 
 
 def _below_udp(frame: bytes) -> str:

@@ -155,6 +155,20 @@ def test_two_bridges_pass_a_broadcast_on_once_and_nothing_goes_in_circles(places
     assert total < 400, "a loop would never end"
 
 
+def test_a_broadcast_goes_on_once_and_only_to_where_its_sender_is_not_heard(places: type[Any]) -> None:
+    net = places({"rover": (RADIO, OTHER), "bridge": (RADIO, SERIAL, OTHER), "far": (OTHER,), "sensor": (SERIAL,)})
+    net.start("bridge")
+    assert net.run(20.0, until=lambda: {"rover", "bridge"} <= {p.name for p in net.cores["sensor"].peers(now=net.now)})
+    net.run(3.0)
+    net.sent["bridge"].clear()
+    for _ in range(5):
+        net.publish("rover", "t", b"to all", to="all")
+        net.run(1.0)
+    crossed = [d for _at, d in net.sent["bridge"] if (packet := wire.dissect(d.data)) and packet.is_bridged]
+    assert [d.path.carrier for d in crossed] == [SERIAL] * 5
+    assert len(net.delivered("sensor")) == len(net.delivered("far")) == len(net.delivered("bridge")) == 5
+
+
 def test_a_second_bridge_takes_over(places: type[Any]) -> None:
     net = places(TWO)
     net.start("bridge1", "bridge2")

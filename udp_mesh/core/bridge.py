@@ -140,21 +140,19 @@ class Bridge:
 
     def link_frames(self, carrier: int, room_bytes: int, *, now: float) -> bytes:
         """Return frames for one carrier that say who is on the others; where rates are known, little at a time."""
-        state = self._state
-        if state.carriers[carrier].rate_bps:
-            room_bytes = min(room_bytes, PROBE_BYTES // 2)
         by_carrier: dict[int, list[int]] = {}
         for peer in self._others(carrier):
             if not _is_heard(peer, carrier, now=now):
                 by_carrier.setdefault(peer.path.carrier, []).append(peer.session.tag)
-        out = b""
-        for index, tags in by_carrier.items():
-            share = room_bytes // len(by_carrier)
-            out += self._link_frame(carrier, index, tags, max(1, (share - LINK_HEAD.size) // TAG.size))
-        return out
+        least_bytes = len(by_carrier) * (LINK_HEAD.size + TAG.size)
+        if self._state.carriers[carrier].rate_bps:
+            room_bytes = min(room_bytes, max(PROBE_BYTES // 2, least_bytes))
+        if not by_carrier or room_bytes < least_bytes:
+            return b""
+        limit = min(_MAX_TAGS, (room_bytes // len(by_carrier) - LINK_HEAD.size) // TAG.size)
+        return b"".join(self._link_frame(carrier, index, tags, limit) for index, tags in by_carrier.items())
 
     def _link_frame(self, told: int, index: int, tags: list[int], limit: int) -> bytes:
-        limit = min(limit, _MAX_TAGS)
         start = self._turn.get((told, index), 0) % len(tags)
         chosen = (tags[start:] + tags[:start])[:limit]
         self._turn[told, index] = start + len(chosen)

@@ -19,6 +19,7 @@ from udp_mesh.core.state import NodeState
 FIRST_INTERVAL_S = 1.0
 RAREST_INTERVAL_S = 60.0
 MAX_TOLD = 4096
+MOST_GREETINGS = 16  # for one LINK frame; it comes again
 MAX_LINKS = 4096
 LEAST_MTU_BYTES = 128
 MISSED_FRAMES = 3.5
@@ -48,7 +49,7 @@ class Links:
 
     def __init__(self, state: NodeState) -> None:
         self._state = state
-        self._numbers: dict[tuple[str, int], int] = {}
+        self._numbers: dict[tuple[str, int, int, int], int] = {}
         self._told: dict[
             int, dict[tuple[str, int], Told]
         ] = {}  # by tag, then by bridge and the carrier it was heard on
@@ -63,7 +64,7 @@ class Links:
         way = Path(path.carrier, path.address, self._via(bridge, link))
         interval_s = bridge.beacon_interval_s * max(1, link.rounds)
         known = []
-        greetings = 1 if self._state.rate_bps(path) else len(link.tags)  # a slow carrier: the other side greets, too
+        greetings = 1 if self._state.rate_bps(path) else MOST_GREETINGS  # the other side greets, too
         for tag in link.tags:
             if tag == self._state.tag:
                 continue
@@ -78,13 +79,10 @@ class Links:
         return known
 
     def _via(self, bridge: Peer, link: Link) -> int:
-        key = bridge.name, link.number
-        via = self._numbers.setdefault(key, len(self._numbers) + 1)
-        facts = self._state.links.get(via)
-        if facts is None:
+        """Return the number of a link; one whose facts have changed is another link, and what was cut is cut anew."""
+        via = self._numbers.setdefault((bridge.name, *link[:3]), len(self._numbers) + 1)
+        if via not in self._state.links:
             self._state.links[via] = Carrier(via, link.mtu_bytes, float(link.rate_bps))
-        else:
-            facts.mtu_bytes, facts.rate_bps = link.mtu_bytes, float(link.rate_bps)
         return via
 
     def _may_greet(self, tag: int, *, now: float) -> bool:

@@ -63,6 +63,9 @@ class Paths:
         key = path.carrier, path.via
         state = self._by_carrier.get(key)
         if state is None or state.path != path:
+            others = [known for known, other in self._by_carrier.items() if other.path[:2] == path[:2]]
+            for known in others:  # the link behind this bridge is another one now
+                del self._by_carrier[known]
             state = self._by_carrier[key] = PathState(path, now)
         state.heard_s = now
         return state

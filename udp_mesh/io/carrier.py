@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -59,3 +60,32 @@ class CarrierSocket(Protocol):
 
     def close(self) -> None:
         """Close it."""
+
+
+class SocketCarrier:
+    """What carriers over one socket share. ``backlog``: refused by the full socket; leaves before anything else."""
+
+    is_broken = False
+    socket: socket.socket
+
+    def __init__(self, facts: CarrierFacts) -> None:
+        self.facts = facts
+        self.backlog: list[Datagram] = []
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether the socket was full."""
+        return bool(self.backlog)
+
+    @property
+    def wants_write(self) -> bool:
+        """Whether the socket was full."""
+        return bool(self.backlog)
+
+    def fileno(self) -> int:
+        """The socket's descriptor."""
+        return self.socket.fileno()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from udp_mesh.core.mesh import Datagram, Path
-from udp_mesh.io.carrier import CarrierFacts
+from udp_mesh.io.carrier import CarrierFacts, SocketCarrier
 
 ETHERTYPE = 0x88B5  # IEEE 802, local experimental ethertype 1
 _BROADCAST = bytes.fromhex("ffffffffffff")
@@ -19,10 +19,8 @@ _MAX_FRAME_BYTES = 65_536
 _BATCH = 64
 
 
-class EthernetCarrier:
+class EthernetCarrier(SocketCarrier):
     """One interface's socket."""
-
-    is_broken = False
 
     def __init__(self, facts: CarrierFacts, counters: Counter[str]) -> None:
         """Open and bind.
@@ -30,8 +28,7 @@ class EthernetCarrier:
         Raises:
             OSError: The interface is gone, or this process may not open packet sockets.
         """
-        self.facts = facts
-        self.backlog: list[Datagram] = []  # refused by the full socket; leaves before anything else
+        super().__init__(facts)
         self._counters = counters
         self._buffer = memoryview(bytearray(_MAX_FRAME_BYTES))
         kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC
@@ -41,20 +38,6 @@ class EthernetCarrier:
         except OSError:
             self.socket.close()
             raise
-
-    def fileno(self) -> int:
-        """The socket's descriptor."""
-        return self.socket.fileno()
-
-    @property
-    def is_blocked(self) -> bool:
-        """Whether the socket was full."""
-        return bool(self.backlog)
-
-    @property
-    def wants_write(self) -> bool:
-        """Whether the socket was full."""
-        return bool(self.backlog)
 
     def receive(self) -> Iterator[tuple[memoryview, int, Path, float]]:
         """Yield what has arrived, at most a bounded batch."""
@@ -91,7 +74,3 @@ class EthernetCarrier:
                 return
             except OSError as error:
                 self._counters[f"send_{errno.errorcode.get(error.errno or 0, 'error')}"] += 1
-
-    def close(self) -> None:
-        """Close the socket."""
-        self.socket.close()

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 from udp_mesh.config_carriers import CarrierKind
 from udp_mesh.core.mesh import Datagram, Path
-from udp_mesh.io.carrier import CarrierFacts
+from udp_mesh.io.carrier import CarrierFacts, SocketCarrier
 from udp_mesh.io.dscp import tos_of
 
 _UDP_SEGMENT = 103
@@ -35,10 +35,8 @@ _MAX_HEARD = 1024
 _ANCILLARY_BYTES = socket.CMSG_SPACE(4)
 
 
-class UdpCarrier:
+class UdpCarrier(SocketCarrier):
     """One interface's socket, IPv4 or IPv6."""
-
-    is_broken = False
 
     def __init__(self, facts: CarrierFacts, port: int, counters: Counter[str], *, marks: bool = False) -> None:
         """Open and bind; ``marks``: whether the IP header tells the priority (:mod:`udp_mesh.io.dscp`).
@@ -46,8 +44,7 @@ class UdpCarrier:
         Raises:
             OSError: The port is in use, or the interface is gone.
         """
-        self.facts = facts
-        self.backlog: list[Datagram] = []  # refused by the full socket; leaves before anything else
+        super().__init__(facts)
         self._port = port
         self._counters = counters
         self.marks = marks
@@ -82,20 +79,6 @@ class UdpCarrier:
             sock.setsockopt(socket.IPPROTO_UDP, _UDP_GRO, 1)
         except OSError:
             self._counters["without_receive_offload"] += 1
-
-    @property
-    def is_blocked(self) -> bool:
-        """Whether the socket was full."""
-        return bool(self.backlog)
-
-    @property
-    def wants_write(self) -> bool:
-        """Whether the socket was full."""
-        return bool(self.backlog)
-
-    def fileno(self) -> int:
-        """The socket's descriptor."""
-        return self.socket.fileno()
 
     def receive(self) -> Iterator[tuple[memoryview, int, Path, float]]:
         """Yield what has arrived, at most a bounded batch: datagrams, the length of each, path, monotonic seconds.
@@ -205,10 +188,6 @@ class UdpCarrier:
             ancillary.append((*level, tos_of(first.priority).to_bytes(4, sys.byteorder)))
         target = (address, self._port, 0, self.facts.interface_index) if self._is_ipv6 else (address, self._port)
         self.socket.sendmsg([datagram.data for datagram in burst], ancillary, flags, target)
-
-    def close(self) -> None:
-        """Close the socket."""
-        self.socket.close()
 
 
 def _set_buffer(sock: socket.socket, option: int, forced_option: int, size_bytes: int) -> None:
