@@ -171,6 +171,47 @@ def test_a_link_that_has_changed_is_another_one_and_a_tiny_one_is_none() -> None
     assert links.way(50, Path(FAST, "somebody else")) is None
 
 
+def test_own_messages_take_turns_with_passed_on_ones_of_their_priority() -> None:
+    state = node()
+    bridge = Bridge(state, Links(state))
+    sender = peer(state, 6, Path(FAST, "a"))
+    peer(state, 7, Path(SLOW, "s"))
+    data = wire.encode_header(epoch=sender.session.epoch, destination_tag=7, packet_number=0, flags=0)
+    data += wire.encode_data_header(message_id=1, priority=5, index=0, count=1, payload_bytes=0, topic=b"t")
+    packet = wire.dissect(data)
+    assert packet is not None
+    for _ in range(6):
+        bridge.unicast(data, packet, sender, sender.path, now=0.0)
+    counts = [len(bridge.datagrams(lambda _carrier: 5, now=float(now))) for now in range(6)]
+    assert counts == [1, 0, 1, 0, 1, 0]
+    assert bridge.datagrams(lambda _carrier: 4, now=10.0) == []
+    assert len(bridge.datagrams(lambda _carrier: 6, now=10.0)) == 1
+    assert bridge.datagrams(lambda _carrier: 6, now=10.0) == []  # the line is busy
+    assert bridge.next_timer(now=10.0) == state.carriers[SLOW].busy_until_s > 10.0
+
+
+def test_what_goes_over_a_link_is_charged_to_it_and_to_the_carrier_before_it() -> None:
+    state = node()
+    state.links[1] = Carrier(1, 244, 5000.0)
+    state.charge(Path(FAST, "b", 1), 250, now=1.0)
+    assert state.free_at_s(Path(FAST, "other", 1)) == pytest.approx(1.4)
+    assert state.free_at_s(Path(FAST, "b")) < 1.0
+    state.charge(Path(SLOW, "b", 1), 250, now=2.0)
+    assert state.free_at_s(Path(SLOW, "b")) == state.free_at_s(Path(FAST, "b", 1)) == pytest.approx(2.4)
+
+
+def test_messages_are_cut_anew_when_the_link_behind_a_bridge_takes_less(places: Any) -> None:
+    net = places({"rover": (FAST,), "bridge": (FAST, SLOW), "sensor": (SLOW,)})
+    net.start("bridge")
+    net.meet()
+    net.cores["bridge"].add_carrier(SLOW, mtu_bytes=180, rate_bps=5000.0)
+    net.run(3.0)
+    net.publish("rover", "t", bytes(1000), to="sensor")
+    net.run(20.0)
+    assert [len(event.payload) for event in net.delivered("sensor")] == [1000]
+    assert net.cores["bridge"].stats().get("bridge_too_large", 0) == 0
+
+
 def test_own_messages_and_passed_on_ones_of_one_priority_share_a_slow_line(places: Any) -> None:
     net = places({"rover": (FAST,), "bridge": (FAST, SLOW), "sensor": (SLOW,)})
     net.start("bridge")
