@@ -131,9 +131,11 @@ class Scenario(StrictModel):
         return tuple(name for name in names if self.mesh_settings(name).get("bridge"))
 
     def bridges(self, bridge: str, a: str, b: str) -> bool:
-        """Whether a bridge has two nodes on different media: two wires, or a wire and its radio."""
+        """Whether a bridge has two nodes on different media: two wires, a wire and a radio, or two channels."""
         media = self.joined(a, bridge), self.joined(bridge, b)
-        return bridge not in (a, b) and all(media) and media != (("radio",), ("radio",))
+        channels = self._frequencies_hz[bridge] & (self._frequencies_hz[a] | self._frequencies_hz[b])
+        has_two = any("wire" in joined for joined in media) or len(channels) > 1
+        return bridge not in (a, b) and all(media) and has_two
 
     @cached_property
     def _mesh_parts(self) -> Mapping[str, Hashable]:

@@ -57,3 +57,15 @@ def test_one_radio_is_one_carrier() -> None:
     nodes = {name: {"processes": ["udp_mesh"], "udp_mesh": {"bridge": True}} for name in ("a", "x", "b")}
     scenario = parse_scenario({"duration": "1s", "nodes": nodes, "radio": radio})
     assert reach(scenario, compile_plan(scenario), "a") == {"x"}
+
+
+def test_two_frequencies_are_two_carriers() -> None:
+    fast = {"frequency": "5.18GHz", "phy": "802.11n-20MHz-2x2"}
+    nodes: dict[str, dict[str, object]] = {"base": {}, "parent": {"radio": [{}, fast]}, "uav": {"radio": fast}}
+    for node in nodes.values():
+        node["processes"] = ["udp_mesh"]
+    nodes["parent"]["udp_mesh"] = {"bridge": True}
+    radio = {"phy": "802.11g-20MHz", "rate": "6mbit", "noise": "-90dBm", "propagation": {"model": "free_space"}}
+    stream = STREAM | {"from": "uav", "to": "base"}
+    scenario = parse_scenario({"duration": "5s", "radio": radio, "nodes": nodes, "traffic": [stream]})
+    assert scenario.reaches("uav", "base")
