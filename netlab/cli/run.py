@@ -11,9 +11,9 @@ import click
 
 from netlab.cli.status import Status
 from netlab.cli.up import with_scenario_options
-from netlab.errors import MachineError
 from netlab.lab.facade import Lab
 from netlab.lab.results import RunResult, needs_packets
+from netlab.report.build import require_plots, write_report
 from netlab.scenario import load_scenario
 
 
@@ -24,7 +24,11 @@ from netlab.scenario import load_scenario
 @click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="By which clock.")
 @click.option("--timeout", "timeout_s", type=float, default=1800.0, show_default=True, help="Of --in vm, host seconds.")
 @click.option("--capture", type=click.Path(path_type=Path, dir_okay=False), help="Keep the capture (MCAP) here.")
-@click.option("--report", type=click.Path(path_type=Path, file_okay=False), help="Write an HTML report to this folder.")
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write an HTML report to this folder, and the capture too unless --capture says where.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def run(
     file: Path,
@@ -43,7 +47,8 @@ def run(
     Exit code: 0 met, 1 not met, 2 bad scenario or machine, or a run that broke and cannot be judged.
     """
     if report is not None:
-        raise MachineError("--report is not available yet; look into a capture with: netlab inspect")
+        require_plots()  # before minutes are spent
+        capture = capture or report / "capture.mcap"
     if clock == "virtual" and where != "vm":
         raise click.UsageError("the host's clock cannot be virtual; add --in vm")
     if where == "vm":
@@ -51,7 +56,9 @@ def run(
 
         load_scenario(file, overrides=overrides, seed=seed, engine=engine)  # a mistake shows before a kernel boots
         words = _words(engine=engine, seed=seed, overrides=overrides, as_json=as_json)
-        sys.exit(run_scenario_in_box(file, words, clock=clock, capture=capture, timeout_s=timeout_s))
+        status = run_scenario_in_box(file, words, clock=clock, capture=capture, timeout_s=timeout_s)
+        _write_report(capture, report)
+        sys.exit(status)
     lab = Lab(file, engine=engine, seed=seed, overrides=overrides, capture=capture)
     lab.record_packets(capture is not None or needs_packets(lab.scenario))
     result = _run(lab)
@@ -61,7 +68,13 @@ def run(
             click.echo(complaints, err=True)
     else:
         click.echo(result.report())
+    _write_report(capture, report)
     sys.exit(result.exit_code)
+
+
+def _write_report(capture: Path | None, directory: Path | None) -> None:
+    if directory is not None and capture is not None and capture.exists():  # a run that could not begin has none
+        click.echo(f"report: {write_report(capture, directory)}", err=True)
 
 
 def _words(*, engine: str | None, seed: int | None, overrides: tuple[str, ...], as_json: bool) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +22,16 @@ _ROWS_MAX = 40
 _PANELS_MAX = 8
 
 
+def require_plots() -> None:
+    """Say in time that nothing can be drawn here.
+
+    Raises:
+        MachineError: matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise MachineError("plots need matplotlib; install it: pip install 'udp-mesh-lab[report]'")
+
+
 def write_report(capture: Path, directory: Path, *, topic: str | None = None, base: str | None = None) -> Path:
     """Write the report of a capture and return its page, ``directory``/index.html.
 
@@ -35,10 +46,7 @@ def write_report(capture: Path, directory: Path, *, topic: str | None = None, ba
         MachineError: matplotlib is not installed.
         OSError: The page cannot be written.
     """
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise MachineError("plots need matplotlib; install it: pip install 'udp-mesh-lab[report]'") from None
+    require_plots()
     trace, scene = load_trace(capture), load_scene(capture)
     _check(trace, topic, base)
     sections = [

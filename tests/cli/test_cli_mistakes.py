@@ -74,7 +74,8 @@ def test_every_mistake_is_named_with_its_line_and_nothing_starts(netlab: Callabl
         (["run", PAIR, "--capture", "/dev/null/run.mcap"], ["/dev/null/run.mcap", "cannot be made"]),
         (["up", PAIR, "--capture", "/dev/null/run.mcap"], ["/dev/null/run.mcap", "cannot be made"]),
         (["run", PAIR, "--clock", "virtual"], ["the host's clock cannot be virtual; add --in vm"]),
-        (["run", PAIR, "--report", "out"], ["not available yet", "netlab inspect"]),
+        (["run", PAIR, "--report", "/dev/null/out"], ["/dev/null/out/capture.mcap", "cannot be made"]),
+        (["report", PAIR], ["is not an MCAP file"]),
         (["lab"], ["topologies/default.yaml", "No such file"]),
         (["inspect", "missing.mcap"], ["missing.mcap: No such file"]),
         (["inspect", PAIR], ["is not an MCAP file"]),
@@ -106,7 +107,21 @@ def test_help_is_quick_because_it_imports_next_to_nothing() -> None:
     code, *modules = done.stdout.splitlines()[-1].split()
     assert code == "0"
     assert not {"pydantic", "rich", "pyroute2", "mcap", "yaml", "asyncio", "google.protobuf"} & set(modules)
-    for command in ("lab", "run", "up", "down", "ls", "exec", "shell", "link", "logs", "check", "inspect", "doctor"):
+    for command in (
+        "lab",
+        "run",
+        "up",
+        "down",
+        "ls",
+        "exec",
+        "shell",
+        "link",
+        "logs",
+        "check",
+        "inspect",
+        "report",
+        "doctor",
+    ):
         assert f"  {command} " in done.stdout
 
 

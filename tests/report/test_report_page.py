@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,7 +16,7 @@ from netlab.capture.writer import CaptureWriter
 from netlab.cli import main
 from netlab.errors import CaptureError, MachineError
 from netlab.medium.verdicts import Verdict
-from netlab.report import palette
+from netlab.report import build, palette
 from netlab.report.build import write_report
 from netlab.report.scene import load_scene
 
@@ -117,7 +116,7 @@ def test_an_unknown_topic_or_node_is_named_with_those_that_are_known(capture: Pa
 def test_without_matplotlib_it_says_what_to_install(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MachineError, match=r"pip install 'udp-mesh-lab\[report\]'"):
         write_report(capture, tmp_path)
 

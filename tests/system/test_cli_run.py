@@ -53,6 +53,15 @@ def test_json_is_the_promised_object_and_alone_on_stdout(netlab: Any) -> None:
     assert "pose a>b" in done.stderr
 
 
+def test_a_report_lies_beside_the_capture_that_it_is_drawn_from(netlab: Any) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `report` is not installed")
+    done = netlab("run", PAIR, "--report", "told", "--json", "--set", "expect=[]")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["capture"] == str(netlab.work / "told" / "capture.mcap")
+    assert "<svg" in (netlab.work / "told" / "index.html").read_text(encoding="utf-8")
+    assert done.stderr.splitlines()[-1] == "report: told/index.html"
+
+
 def test_an_expectation_that_is_not_met_makes_exit_code_1_and_tells_the_story(netlab: Any) -> None:
     settings = ("--seed", 99, "--set", "traffic.0.reliability=best_effort", "--set", "links.0.loss=40%")
     done = netlab("run", PAIR, *settings, "--json")
