@@ -57,6 +57,7 @@ class SlowDisk:
         self._database.execute("PRAGMA synchronous=OFF")  # the tests' own disk need not survive a power cut
         self.contents = store_file.read(self._database, age_s=age_s, now=now)
         self.notes: list[str] = []
+        self.is_full = False
         self._jobs: list[tuple[float, list[Statement], Statement | None, Done]] = []
 
     def fileno(self) -> int:
@@ -75,6 +76,9 @@ class SlowDisk:
     def outcomes(self) -> Iterator[tuple[Done, Outcome]]:
         while self._jobs and self._jobs[0][0] <= self._net.now:
             _due_s, statements, query, done = self._jobs.pop(0)
+            if self.is_full and statements:
+                yield done, Outcome("disk_full", "as the test wants it")
+                continue
             self._database.execute("BEGIN")
             for statement in statements:
                 self._database.execute(*statement)

@@ -149,3 +149,26 @@ def test_what_had_to_make_room_never_arrives(pair: tuple[Any, Station, Station])
     b.start()
     net.run(30.0)
     assert sorted(payload[0] for payload in b.received) == list(range(10, 20))
+
+
+def test_what_a_full_disk_could_not_remove_is_removed_later(pair: tuple[Any, Station, Station]) -> None:
+    net, a, b = pair
+    assert a.durable is not None
+    assert b.durable is not None
+    disks = [station.durable._thread for station in (a, b) if station.durable is not None]
+    assert all(isinstance(disk, SlowDisk) for disk in disks)
+    a.publish("log", b"one", "b")
+    assert net.run(5.0, until=lambda: b.received == [b"one"])
+    for disk in disks:
+        disk.is_full = True  # type: ignore[union-attr]
+    net.run(5.0)
+    assert len(a.durable.custody) == 0
+    assert a.publish("log", b"two", "b").fates == {}
+    net.run(0.1)
+    assert a.state.refusals == {"disk_full": 1}
+    assert [disk.count("outgoing") for disk in disks] == [1, 0]  # type: ignore[union-attr]
+    for disk in disks:
+        disk.is_full = False  # type: ignore[union-attr]
+    net.run(5.0)
+    assert disks[0].count("outgoing") == 0  # type: ignore[union-attr]
+    assert b.durable.inbox.taken == []
