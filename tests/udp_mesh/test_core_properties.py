@@ -61,7 +61,7 @@ step = st.one_of(
     st.tuples(st.just("cut"), st.sampled_from(NAMES), st.sampled_from(NAMES)),
     st.tuples(st.just("mend"), st.sampled_from(NAMES), st.sampled_from(NAMES)),
     st.tuples(st.just("restart"), st.sampled_from(NAMES)),
-    st.tuples(st.just("forget"), st.sampled_from(NAMES)),
+    st.tuples(st.just("forget"), st.sampled_from(NAMES), st.sampled_from(NAMES)),
     st.tuples(st.just("stall"), st.sampled_from(NAMES), st.sampled_from([0.1, 2.0])),
 )
 
@@ -90,13 +90,21 @@ class Story:
         elif action[0] == "restart":
             net.stop(action[1])
             self.begin(action[1])
-        elif action[0] == "forget":  # every partial message, as if nothing had come of it for too long
-            for peer in net.cores[action[1]]._state.peers.values():
-                peer.session.reassembler.purge_stale(now=float("inf"), is_online=True)
+        elif action[0] == "forget":
+            self.forget(*action[1:])
         elif action[0] == "stall":  # its process stands still; what is sent to it meanwhile waits in its socket
             core = net.cores.pop(action[1])
             net.run(action[2])
             net.cores[action[1]] = core
+
+    def forget(self, name: str, sender: str) -> None:
+        """Purge every partial message at a node, as if nothing had come of it for too long; best while one arrives."""
+        peers = self.net.cores[name]._state.peers
+        policy = {"priority": 2, "reliability": Reliability.RELIABLE, "keep": Keep.ALL, "offline": Offline.DISCARD}
+        self.publish(sender, name, 30_000, **policy)
+        self.net.run(0.3, until=lambda: any(peer.session.reassembler._partials for peer in peers.values()))
+        for peer in peers.values():
+            peer.session.reassembler.purge_stale(now=float("inf"), is_online=True)
 
     def publish(self, sender: str, to: str, size: int, **policy: Any) -> None:
         payload = len(self.sent).to_bytes(4, "big") + bytes(size)
