@@ -8,7 +8,7 @@ from netlab.engines.air import AirEngine
 from netlab.engines.base import Engine, LabPlan
 from netlab.engines.hwsim import HwsimEngine, has_wifi, wires_of
 from netlab.engines.netem import NetemEngine
-from netlab.errors import MachineError
+from netlab.engines.netem_radio import NetemRadios, without_airtime
 from netlab.kernel.netem import inexpressible
 from netlab.kernel.probe import in_child, tc_features
 from netlab.medium.impairments import Impairment
@@ -27,7 +27,7 @@ def make_engine(wanted: str, plan: LabPlan, later: Iterable[Impairment]) -> tupl
     """
     if any(segment.channel is not None for segment in plan.segments):
         if wanted == "netem":
-            raise MachineError("radios with a phy share airtime, which no qdisc can express; use engine: air")
+            return "netem", NetemRadios(plan, NetemEngine(without_airtime(plan)))
         return "air", AirEngine(plan)
     if has_wifi(plan):
         name, wires = make_engine(wanted, wires_of(plan), later)

@@ -30,8 +30,6 @@ _NO_HWSIM_CHANNEL = (
 def check_radio(scenario: Scenario) -> Iterator[Problem]:
     """Yield every word that what it speaks of cannot obey."""
     kind = _kind(scenario)
-    if kind is _Kind.CHANNEL and scenario.engine == "netem":
-        yield ("engine",), "radios with a phy share airtime, which no qdisc can express; use air, or auto"
     yield from _waves(scenario)
     for index, link in enumerate(scenario.links):
         yield from _complaints(link, ("links", index), _Kind.PLAIN)

@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
+from netlab.engines.air import AirEngine
 from netlab.engines.choose import make_engine
+from netlab.engines.netem_radio import NetemRadios
 from netlab.engines.plan import compile_plan
-from netlab.errors import MachineError, ScenarioError
+from netlab.errors import ScenarioError
 from netlab.medium.phy import PHYS
 from netlab.medium.segments import ChannelSpec
 from netlab.scenario import parse_scenario
@@ -88,10 +90,7 @@ def test_events_may_change_words_and_strength_but_no_rate() -> None:
     assert "events[0].link.limit: limit of a pair has no meaning" in found
 
 
-def test_no_qdisc_can_do_it() -> None:
-    (found,) = problems(RADIO, engine="netem")
-    assert "engine: radios with a phy share airtime, which no qdisc can express; use air, or auto" in found
-    plan = compile_plan(parse_scenario(scenario(RADIO)))
-    assert make_engine("auto", plan, ())[0] == "air"
-    with pytest.raises(MachineError, match="no qdisc"):
-        make_engine("netem", plan, ())
+def test_auto_shares_airtime_and_netem_has_pairs_instead() -> None:
+    plan = compile_plan(parse_scenario(scenario(RADIO, engine="netem")))
+    assert isinstance(make_engine("auto", plan, ())[1], AirEngine)
+    assert isinstance(make_engine("netem", plan, ())[1], NetemRadios)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import yaml
 
 from netlab.capture.reader import Capture
@@ -73,6 +74,20 @@ def _assert_links_are_recorded(lab: Lab) -> None:
     assert abs(float(mine[0]["snr_db"]) - (heard_dbm(0.0) + 91)) < 1  # type: ignore[arg-type]
     assert mine[-1]["state"] == "out_of_range"
     assert len(mine) <= 8  # a pair out of range is not told again and again
+
+
+@pytest.mark.usefixtures("netem_kernel")
+def test_netem_loses_the_same_robot_at_the_same_place(make_lab: MakeLab) -> None:
+    lab = make_lab({**yaml.safe_load(SCENARIO), "engine": "netem"})
+    assert lab.exec("robot", "ping", "-c1", "-W2", "base").returncode == 0
+    assert lab.exec("far", "ping", "-c1", "-W1", "base").returncode != 0
+    result = lab.run()
+    assert not result.problems
+    _assert_links_are_recorded(lab)
+    robot, far = result.summary["streams"]
+    last_s = (RANGE_M - 20) / 200
+    assert 50 * last_s * 0.6 < robot["delivered"] < 50 * (last_s + 0.4)
+    assert far["delivered"] == 0
 
 
 MARSUPIAL = """
