@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
+import subprocess
+import sys
 import time
 import tty
 from pathlib import Path
@@ -87,6 +90,9 @@ def test_a_node_on_a_serial_line_of_5_kbit_per_second_reaches_one_two_carriers_a
         assert not sensor.happened("peer_down")
         (peer,) = [peer for peer in here.peers() if peer.name == "sensor"]
         assert peer.address == "10.9.0.2"
+        words = [sys.executable, "-m", "udp_mesh", "--socket", rover.socket, "peers"]
+        table = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert re.search(r"in use +10\.9\.0\.2 \(bridge relay\), heard \d+\.\d s ago, 0% lost, 5 kbit/s", table), table
 
 
 def _terminal(stack: contextlib.ExitStack) -> tuple[int, str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from random import Random
-from typing import Any
 
 import pytest
 
 from udp_mesh.core import wire
+from udp_mesh.core.beacons import Beacons
 from udp_mesh.core.bridge import Bridge
 from udp_mesh.core.bridge_queue import LEAST_QUEUE_BYTES, MAX_WAIT_S, QUEUE_S, BridgeQueue
+from udp_mesh.core.broadcasts import Broadcasts
 from udp_mesh.core.carriers import UNLIMITED_BYTES, Carrier, Path
 from udp_mesh.core.datagram import Datagram
 from udp_mesh.core.links import LEAST_MTU_BYTES, MOST_GREETINGS, RAREST_INTERVAL_S, Links
@@ -200,54 +201,16 @@ def test_what_goes_over_a_link_is_charged_to_it_and_to_the_carrier_before_it() -
     assert state.free_at_s(Path(SLOW, "b")) == state.free_at_s(Path(FAST, "b", 1)) == pytest.approx(2.4)
 
 
-def test_messages_are_cut_anew_when_the_link_behind_a_bridge_takes_less(places: Any) -> None:
-    net = places({"rover": (FAST,), "bridge": (FAST, SLOW), "sensor": (SLOW,)})
-    net.start("bridge")
-    net.meet()
-    net.cores["bridge"].add_carrier(SLOW, mtu_bytes=180, rate_bps=5000.0)
-    net.run(3.0)
-    net.publish("rover", "t", bytes(1000), to="sensor")
-    net.run(20.0)
-    assert [len(event.payload) for event in net.delivered("sensor")] == [1000]
-    assert net.cores["bridge"].stats().get("bridge_too_large", 0) == 0
-
-
-def test_own_messages_and_passed_on_ones_of_one_priority_share_a_slow_line(places: Any) -> None:
-    net = places({"rover": (FAST,), "bridge": (FAST, SLOW), "sensor": (SLOW,)})
-    net.start("bridge")
-    net.meet()
-    for sender in ("rover", "bridge"):
-        net.publish(sender, "bulk", bytes(5000), to="sensor", priority=9)
-    begun_at_s = net.now
-    net.run(120.0)
-    ends = {event.source: event.now - begun_at_s for event in net.delivered("sensor")}
-    assert ends.keys() == {"rover", "bridge"}
-    assert max(ends.values()) < 1.6 * min(ends.values())
-
-
-def test_a_bridge_searches_for_whom_others_seek_and_shows_every_path(places: Any) -> None:
-    net = places({"rover": (FAST,), "bridge": (FAST, SLOW), "sensor": (SLOW,)})
-    net.start("bridge")
-    net.meet()
-    net.publish("rover", "t", b"x", to="sensor")
-    net.run(5.0)
-    by_name = {status.name: status for status in net.cores["rover"].peers(now=net.now)}
-    ((direct,), (bridged,)) = by_name["bridge"].paths, by_name["sensor"].paths
-    assert (direct.address, direct.via, direct.in_use) == ("bridge", "", True)
-    assert (bridged.address, bridged.via, bridged.in_use, bridged.rate_bps) == ("bridge", "bridge", True, 5000.0)
-    for _ in range(20):  # between them broadcasts that stay behind, which are no losses
-        net.publish("sensor", "t", b"x", to="all")
-        net.run(2.0)
-    (bridged,) = next(s for s in net.cores["rover"].peers(now=net.now) if s.name == "sensor").paths
-    assert bridged.loss_ratio == 0
-    tag = wire.tag_of(net.cores["sensor"].epoch)
-    net.deaf.add(("sensor", SLOW))
-    net.publish("rover", "t", b"x", to="sensor")
-    net.run(30.0)
-    net.sent["bridge"].clear()
-    net.run(20.0)
-    sought = [d for _at, d in net.sent["bridge"] if (packet := wire.dissect(d.data)) and tag in packet.probes]
-    assert any(d.path.carrier == SLOW for d in sought)
+def test_who_is_behind_a_bridge_sends_no_beacons_here_and_does_not_count() -> None:
+    state = node()
+    beacons = Beacons(state, Broadcasts(state), now=0.0)
+    state.links[1] = Carrier(1)
+    for tag in range(10, 210):
+        peer(state, tag, Path(FAST, "b", 1))
+    assert beacons.interval_s() == state.settings.beacon_interval_s
+    for tag in range(210, 410):
+        peer(state, tag, Path(FAST, f"a{tag}"))
+    assert beacons.interval_s() > 2 * state.settings.beacon_interval_s
 
 
 def test_a_direct_path_is_preferred_to_one_over_a_bridge_of_about_its_speed() -> None:
@@ -268,16 +231,3 @@ def test_a_direct_path_is_preferred_to_one_over_a_bridge_of_about_its_speed() ->
     assert slow.best(serial, carriers, stale_s=1.0, now=0.0) == bridged  # much faster
     slow.heard(Path(FAST, "bridge", 3), now=0.0)  # behind the same bridge is another link now
     assert [known.path for known in slow] == [serial, Path(FAST, "other", 2), Path(FAST, "bridge", 3)]
-
-
-def test_what_is_behind_a_slow_link_waits_at_its_sender(places: Any) -> None:
-    net = places({"rover": (FAST,), "bridge": (FAST, SLOW), "sensor": (SLOW,)})
-    net.start("bridge")
-    net.meet()
-    net.run(2.0)
-    net.sent["rover"].clear()
-    net.publish("rover", "bulk", bytes(9000), to="sensor", priority=9)
-    net.run(8.0)
-    sent_bytes = sum(len(d.data) for _at, d in net.sent["rover"] if d.path.via)
-    assert 0.6 * 5000 < 8 * sent_bytes / 8 < 1.05 * 5000  # acknowledgements and beacons share the line
-    assert net.cores["bridge"].stats()["bridge_dropped"] == 0

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from udp_mesh.core import wire
 from udp_mesh.core.airtime import airtime_s
 from udp_mesh.core.events import PeerDown
 
@@ -94,6 +95,33 @@ def test_neighbours_that_are_absent_cost_no_more_than_the_share(fixed: type[Any]
     airtime = sum(airtime_s(len(d.data), channel_bps=1e6) for _at, d in net.sent["a"])
     assert len(net.sent["a"]) % len(absent) == 0
     assert 0 < airtime / 120 < 0.6 * core.settings.beacon_share
+
+
+def test_who_asks_is_answered_by_unicast(fixed: type[Any]) -> None:
+    net = fixed({"base": (), "robot": ("base",)}, delay_s=0.005)
+    net.add("base")
+    net.run(2.0)
+    robot = net.add("robot")
+    net.meet()
+    first = next(packet for _at, packet in net.packets("base") if packet.beacons)
+    assert first.destination_tag == wire.tag_of(robot.epoch)
+
+
+def test_a_search_among_many_neighbours_keeps_to_its_share(fixed: type[Any]) -> None:
+    absent = tuple(f"absent{n}" for n in range(29))
+    net = fixed({"a": ("b", *absent), "b": ("a",)}, delay_s=0.005)
+    for name in "ab":
+        net.add(name, channel_bps=1e6)
+    net.meet()
+    net.publish("a", "t", b"x", to="b")
+    net.run(1.0)
+    net.link("a", "b", is_cut=True)
+    net.publish("a", "t", b"x", to="b")
+    net.run(5.0)
+    net.sent["a"].clear()
+    net.run(20.0)
+    airtime = sum(airtime_s(len(d.data), channel_bps=1e6) for _at, d in net.sent["a"])
+    assert 0.005 < airtime / 20 < 0.03  # 2 % for probes, half a percent for beacons
 
 
 def test_a_message_for_all_without_anybody_to_send_it_to_ends(fixed: type[Any]) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from udp_mesh.core import wire
 from udp_mesh.core.carriers import Carrier, Path
+from udp_mesh.core.delay_control import DelayControl
 from udp_mesh.core.events import DropReason, FragmentRetransmitted, MessageDropped, PathChanged, PeerDown
 from udp_mesh.core.paths import LOSS_GAIN, Paths
 
@@ -214,3 +215,9 @@ def test_missing_numbers_are_losses() -> None:
     state.on_broadcast(8)  # late, not lost: counts as heard no more and no less
     state.on_broadcast(wire.MAX_NUMBER)
     assert 0.8 < state.loss_ratio < 1
+
+
+def test_a_window_begins_with_what_its_carrier_is_known_to_carry() -> None:
+    assert DelayControl(datagram_bytes=244, rate_bps=5000.0, now=0.0).cwnd_bytes == 2 * 244
+    assert DelayControl(datagram_bytes=1000, rate_bps=1e6, now=0.0).cwnd_bytes == 12_500  # a tenth of a second
+    assert DelayControl(datagram_bytes=1000, now=0.0).cwnd_bytes == 8000
