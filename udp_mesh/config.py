@@ -67,6 +67,9 @@ class Config:
     """Part of the channel's time that beacons and answers of the whole team may take, 0.0001..1."""
     channel_bps: float = 6e6
     """Rate of broadcasts on the channel that the team shares, 100..1e12; beacons and probes keep to shares of it."""
+    shared_bps: float = 0.0
+    """Rate of unicasts on a channel that the whole team shares, 100..1e12; with ``coordinate`` equally urgent backlogs
+    then divide its time. 0: unknown, or nodes have links of their own."""
     key: tuple[bytes, ...] = field(default=(), repr=False)
     """The team's key, in a file 64 hexadecimal digits; without it datagrams are neither encrypted nor checked. Up to
     four in a list: the first encrypts, all are understood."""
@@ -102,6 +105,7 @@ class Config:
             beacon_interval_s=self.beacon_interval_s,
             beacon_share=self.beacon_share,
             channel_bps=self.channel_bps,
+            shared_bps=self.shared_bps,
             queue_bytes=self.queue_bytes,
             floor_ratio=self.floor,
             coordinate=self.coordinate,
@@ -124,7 +128,7 @@ class Config:
 
 RUNTIME_KEYS = (
     *("bridge", "payload_bytes", "key", "window", "prioritise", "probe", "beacon_interval_s", "queue_bytes"),
-    *("floor", "coordinate", "beacon_share", "channel_bps"),
+    *("floor", "coordinate", "beacon_share", "channel_bps", "shared_bps"),
 )
 
 
@@ -252,6 +256,7 @@ _CHECKS: dict[str, config_checks.Check] = {
     "beacon_interval_s": config_checks.number(0.05, 60, whole=False),
     "beacon_share": config_checks.number(0.0001, 1, whole=False),
     "channel_bps": config_checks.number(100, 1e12, whole=False),
+    "shared_bps": config_checks.number(0, 1e12, whole=False),
     "socket": config_checks.text,
     "dscp": config_checks.boolean,
     "floor": config_checks.number(0, 0.5, whole=False),

@@ -104,6 +104,7 @@ class MeshSettings(StrictModel):
     beacon_interval_s: BeaconInterval | None = Field(default=None, alias="beacon_interval")
     beacon_share: Annotated[float, Quantity(RATIO, minimum=0.0001)] | None = None
     channel_bps: ChannelRate | None = Field(default=None, alias="channel")
+    shared_bps: ChannelRate | None = Field(default=None, alias="shared")
     queue_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 30)] | None = None
     dscp: Switch | None = None
     store_bytes: Annotated[WholeBytes, Field(ge=65_536, le=1 << 40)] | None = None

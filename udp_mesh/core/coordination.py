@@ -1,14 +1,21 @@
-"""Robots that share a medium yield to each other: whoever has something urgent waiting says so, others step back.
+"""Robots that share a medium yield to each other: whoever has something waiting says how urgent, others step back.
 
 Theory of operation. A node whose most urgent message has waited for ``BACKLOG_AFTER_S`` broadcasts its priority
 (BACKLOG), and again every ``ANNOUNCE_INTERVAL_S`` while that lasts. For ``HOLD_S`` after hearing it, the others send
 what is less urgent than that only at ``YIELD_SHARE`` of the rate that their paths carry: enough to go on measuring
 them, and for nothing to starve. Nodes only know of those that they hear; who is not heard is hardly disturbed.
+
+Where it is known what the channel carries (``Settings.shared_bps``), nodes with equally urgent backlogs divide
+``DIVIDED_SHARE`` of its time evenly. Stations that all have something to send keep a channel full whatever each one's
+congestion control does: a message that waits for nobody at its own node still waits for all others' turns, and a node
+that acknowledges for ten gets an eleventh of the turns. What is left over is for what is more urgent, which is charged
+to its node's part but not held back, and for acknowledgements.
 """
 
 from __future__ import annotations
 
 from udp_mesh.core import wire
+from udp_mesh.core.airtime import exchange_s
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.pacer import Pacer
 from udp_mesh.core.settings import BROADCAST_NAME
@@ -18,6 +25,7 @@ BACKLOG_AFTER_S = 0.05
 ANNOUNCE_INTERVAL_S = 0.1
 HOLD_S = 0.25
 YIELD_SHARE = 0.1
+DIVIDED_SHARE = 0.6
 _UNKNOWN_RATE_BPS = 6e6
 
 
@@ -52,20 +60,32 @@ class Coordination:
 
     def yield_until_s(self, transfer: Transfer, *, now: float) -> float:
         """Return until when a transfer leaves the medium to others; ``now`` or before if it need not."""
-        if not self._yields(transfer.message.policy.priority, now=now):
-            return now
-        return self._pacer.next_at_s
+        return self._pacer.next_at_s if self.holds_back(transfer.message.policy.priority, now=now) else now
 
-    def _yields(self, priority: int, *, now: float) -> bool:
-        if not self._state.settings.coordinate:
+    def holds_back(self, priority: int, *, now: float) -> bool:
+        """Whether messages of this priority leave at a pace that others' backlogs set."""
+        rivals = self._rivals(now=now)
+        if not rivals:
             return False
-        peers = self._state.peers.values()
-        return any(peer.backlog_priority < priority and now < peer.backlog_until_s for peer in peers)
+        return priority > min(rivals) or (self._state.settings.shared_bps > 0 and priority == min(rivals))
 
     def on_sent(self, priority: int, size_bytes: int, *, capacity_bps: float, now: float) -> None:
-        """Charge what left to the share that is used while yielding."""
-        if self._yields(priority, now=now):
+        """Charge what left to the share that is used meanwhile."""
+        rivals = self._rivals(now=now)
+        if not rivals:
+            return
+        shared_bps = self._state.settings.shared_bps
+        if priority > min(rivals):
             self._pacer.on_sent(size_bytes, rate_bps=YIELD_SHARE * (capacity_bps or _UNKNOWN_RATE_BPS), now=now)
+        elif shared_bps > 0:
+            worth_bytes = round(exchange_s(size_bytes, channel_bps=shared_bps) * shared_bps / 8)
+            self._pacer.on_sent(worth_bytes, rate_bps=DIVIDED_SHARE * shared_bps / (1 + len(rivals)), now=now)
+
+    def _rivals(self, *, now: float) -> list[int]:
+        """How urgent the backlogs are that others have announced."""
+        if not self._state.settings.coordinate:
+            return []
+        return [peer.backlog_priority for peer in self._state.peers.values() if now < peer.backlog_until_s]
 
 
 def _backlog_at_s(transfer: Transfer) -> float:

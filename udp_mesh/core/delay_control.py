@@ -63,8 +63,17 @@ class DelayControl:
 
     urgent_packets = URGENT_PACKETS
 
-    def __init__(self, *, datagram_bytes: int, rate_bps: float = 0.0, now: float) -> None:
-        """Begin with an unknown path; ``rate_bps``: what it is said to carry, 0 if nobody knows."""
+    def __init__(self, *, datagram_bytes: int, rate_bps: float = 0.0, shared_bps: float = 0.0, now: float) -> None:
+        """Begin with an unknown path.
+
+        Args:
+            datagram_bytes: The largest datagram that the path takes.
+            rate_bps: What it is said to carry, 0 if nobody knows.
+            shared_bps: Rate of the channel of which this path gets a part, 0 for a link of its own: a packet then takes
+                no longer than at this rate, however little the part is.
+            now: Seconds.
+        """
+        self._shared_bps = shared_bps
         self.datagram_bytes = self._most_datagram_bytes = datagram_bytes
         self.rate_bps = rate_bps
         self.queue_delay_s = 0.0
@@ -204,7 +213,8 @@ class DelayControl:
     def _fit_datagram(self) -> None:
         """Shrink fragments on a slow path, so that an urgent one need not wait long for one under way."""
         if self.capacity_bps > 0:
-            fitting = int(self.capacity_bps / 8 * MAX_AIRTIME_S - FRAME_HEADER_BYTES) // DATAGRAM_STEP * DATAGRAM_STEP
+            packet_bps = max(self.capacity_bps, self._shared_bps)
+            fitting = int(packet_bps / 8 * MAX_AIRTIME_S - FRAME_HEADER_BYTES) // DATAGRAM_STEP * DATAGRAM_STEP
             self.datagram_bytes = min(max(fitting, MIN_DATAGRAM_BYTES), self._most_datagram_bytes)
 
     def _move(self, delay_s: float, *, is_limited: bool) -> None:

@@ -265,9 +265,10 @@ class MeshCore:
         state = self._state
         if settings.name != state.settings.name:
             raise ValueError("a node's name cannot change while it runs; restart it")
-        window_changes = (settings.window, settings.packet_bytes) != (
+        window_changes = (settings.window, settings.packet_bytes, settings.shared_bps) != (
             state.settings.window,
             state.settings.packet_bytes,
+            state.settings.shared_bps,
         )
         if settings.keys != state.settings.keys:
             self._use_keys(settings.keys)

@@ -106,4 +106,9 @@ class NodeState:
         """Return the congestion control that the settings ask for."""
         if self.settings.window:
             return FixedWindow(self.settings.window, datagram_bytes=self.packet_bytes(path))
-        return DelayControl(datagram_bytes=self.packet_bytes(path), rate_bps=self.rate_bps(path), now=now)
+        return DelayControl(
+            datagram_bytes=self.packet_bytes(path),
+            rate_bps=self.rate_bps(path),
+            shared_bps=self.settings.shared_bps,
+            now=now,
+        )

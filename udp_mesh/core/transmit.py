@@ -148,7 +148,7 @@ class Transmitter:
         packet_bytes = wire.HEADER_BYTES + message.fragment_bytes(index)
         window = (congestion.cwnd_bytes - session.recovery.in_flight_bytes) // packet_bytes
         limit = min(limit, MAX_RUN_PACKETS, _MAX_RUN_BYTES // packet_bytes, window)
-        if limit < 2 or session.probe_credits:
+        if limit < 2 or session.probe_credits or self._coordination.holds_back(message.policy.priority, now=now):
             return 1
         paced = peer.pacer.packets_now(packet_bytes, rate_bps=congestion.pacing_rate_bps, limit=limit, now=now)
         return max(1, transfer.run_length(paced))
