@@ -135,6 +135,8 @@ def traffic_sources(scenario: Scenario, plan: LabPlan) -> list[ProcessSpec]:
         )
         extra = ["--seed", str(plan.seed), "--discovery-s", str(DISCOVERY_LIMIT_S)]
         extra += ["--await-peers", ",".join(sorted(reachable))]
+        if any(segment.channel is not None for segment in plan.segments):
+            extra.append("--resolve")
         specs.append(_traffic(node, SOURCE, own, extra))
     return specs
 

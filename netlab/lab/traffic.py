@@ -21,6 +21,7 @@ from collections import deque
 from dataclasses import asdict, dataclass
 from typing import BinaryIO
 
+from netlab.lab.resolution import resolve
 from udp_mesh.client import Client, ClientError, Message
 
 #: magic, publication number, sequence number, time of the publish call (CLOCK_REALTIME, ns); little endian.
@@ -61,12 +62,17 @@ def source_main(argv: list[str]) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--discovery-s", type=float, required=True, help="longest wait for destinations to be found")
     parser.add_argument("--await-peers", default="", help="comma-separated destinations that can be reached")
+    parser.add_argument("--resolve", action="store_true", help="have the kernel learn their link addresses, too")
     options = parser.parse_args(argv)
     streams = [StreamSpec(**fields) for fields in json.loads(options.streams)]
     with Client() as client:
         deadline = time.monotonic() + options.discovery_s
-        for peer in filter(None, options.await_peers.split(",")):
+        awaited = [peer for peer in options.await_peers.split(",") if peer]
+        for peer in awaited:
             client.wait_for_peer(peer, timeout_s=max(0.0, deadline - time.monotonic()))
+        if options.resolve and awaited:
+            addresses = {peer.address for peer in client.peers() if peer.name in awaited}
+            resolve(addresses, random.Random(f"{options.seed}/resolve/{streams[0].source}"), deadline_s=deadline)
         os.write(options.ready_fd, b"READY=1\n")
         command = socket.socket(fileno=options.command_fd)
         start = json.loads(command.recv(4096) or b"null")

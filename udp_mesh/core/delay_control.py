@@ -70,7 +70,7 @@ class DelayControl:
             datagram_bytes: The largest datagram that the path takes.
             rate_bps: What it is said to carry, 0 if nobody knows.
             shared_bps: Rate of the channel of which this path gets a part, 0 for a link of its own: a packet then takes
-                no longer than at this rate, however little the part is.
+                no longer than at this rate, however little the part is, and others may begin at the same moment.
             now: Seconds.
         """
         self._shared_bps = shared_bps
@@ -78,7 +78,8 @@ class DelayControl:
         self.rate_bps = rate_bps
         self.queue_delay_s = 0.0
         hint_bytes = max(rate_bps / 8 * INITIAL_RTT_S, MIN_PACKETS * datagram_bytes)
-        self._cwnd = hint_bytes if rate_bps else float(INITIAL_PACKETS * datagram_bytes)
+        first_packets = MIN_PACKETS if shared_bps else INITIAL_PACKETS
+        self._cwnd = hint_bytes if rate_bps else float(first_packets * datagram_bytes)
         self._held_back_bytes = 0.0  # of the window, while the queue is drained
         self._rtt_s = 0.0
         self._base = WindowedMinimum()

@@ -32,10 +32,10 @@ class Gate:
         peer = self._state.peers[transfer.peer]
         if not peer.is_online or self._state.free_at_s(peer.path) > now:
             return False
+        if yields:  # probes too: on a crowded channel acknowledgements are late, and more of it would make them later
+            return False
         if peer.session.probe_credits > 0:
             return True
-        if yields:
-            return False
         if self.has_window(peer) and peer.pacer.next_at_s <= now:
             return True
         if not self._state.settings.prioritise:

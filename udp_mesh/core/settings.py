@@ -86,7 +86,7 @@ class Settings:
     channel_bps: float = 6e6
     """Rate of broadcasts on the channel that the team shares; for shares only, nothing is paced by it."""
     shared_bps: float = 0.0
-    """Rate of unicasts on a channel that the whole team shares, for ``coordinate``; 0: unknown, or links of their own."""
+    """Rate of unicasts on a channel that the whole team shares, for ``coordinate``; 0: unknown, or none is shared."""
     queue_bytes: int = 16 * 1024 * 1024
     """Payload waiting or in flight in this node, over all destinations."""
     floor_ratio: float = 0.0
