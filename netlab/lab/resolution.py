@@ -17,6 +17,7 @@ _DISCARD_PORT = 9  # RFC 863
 _COMPLETE = 0x2  # ATF_COM, linux/if_arp.h
 _SPREAD_S = 0.25  # so that the requests of a team do not meet
 _POLL_S = 0.02
+_GIVES_UP_S = 3.0  # mcast_solicit (3) times retrans_time (1 s), arp(7)
 _ARP_TABLE = Path("/proc/net/arp")
 
 
@@ -32,8 +33,10 @@ def resolve(addresses: Iterable[str], rng: random.Random, *, deadline_s: float) 
             for address in waiting:
                 with contextlib.suppress(OSError):
                     sock.sendto(b"", (address, _DISCARD_PORT))
-            time.sleep(_POLL_S)
-            waiting -= known(_ARP_TABLE.read_text())
+            asked_again_s = time.monotonic() + _GIVES_UP_S  # until then the kernel repeats its requests
+            while waiting and time.monotonic() < min(asked_again_s, deadline_s):
+                time.sleep(_POLL_S)
+                waiting -= known(_ARP_TABLE.read_text())
 
 
 def known(table: str) -> set[str]:

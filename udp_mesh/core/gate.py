@@ -40,10 +40,11 @@ class Gate:
             return True
         if not self._state.settings.prioritise:
             return False
-        # Somebody less urgent fills window or pace: a few urgent packets go past them instead of behind them.
+        # Somebody less urgent fills window or pace: a few urgent packets go past them instead of behind them. With
+        # nothing in flight the pace is what is left of a round trip that has since proved shorter.
         recovery = peer.session.recovery
         as_urgent = recovery.urgent_in_flight(transfer.message.policy.priority)
-        return as_urgent < peer.congestion.urgent_packets and as_urgent < len(recovery)
+        return as_urgent < peer.congestion.urgent_packets and as_urgent < max(1, len(recovery))
 
     @staticmethod
     def has_window(peer: Peer, *, packets: int = 1) -> bool:
