@@ -80,6 +80,14 @@ def test_sources_wait_for_the_destinations_that_they_can_reach() -> None:
     assert set(sources) == {"r1", "base"}
     awaited = {node: spec.argv[spec.argv.index("--await-peers") + 1] for node, spec in sources.items()}
     assert awaited == {"r1": "base,r2", "base": "r1"}
+    assert not any("--resolve" in spec.argv for spec in sources.values())
+
+
+def test_on_a_shared_channel_link_addresses_are_known_before_the_start() -> None:
+    radio = {"phy": "802.11g-20MHz", "propagation": {"model": "none"}}
+    scenario = _scenario(traffic=TRAFFIC, radio=radio)
+    sources = programs.traffic_sources(scenario, compile_plan(scenario))
+    assert all("--resolve" in spec.argv for spec in sources)
 
 
 def test_every_receiver_has_one_sink_with_all_its_streams() -> None:
