@@ -53,12 +53,13 @@ NO_DOUBT = Doubt()
 def remains(data: dict[str, Any], wrong: Collection[Path], read: ReadText | None) -> tuple[Scenario, Doubt] | None:
     """Return ``data`` without the parts at the ``wrong`` paths as a scenario, or None when too little is left."""
     kept = copy.deepcopy(data)
-    for section in {str(path[0]) for path in wrong if path} - {"nodes", *_LISTS}:
+    dropped = {str(path[0]) for path in wrong if path} - {"nodes", *_LISTS}
+    for section in dropped:
         kept.pop(section, None)
     kept |= {"name": kept.get("name", "x"), "duration": kept.get("duration", "1000h")}
     nodes = tuple(kept["nodes"]) if isinstance(kept.get("nodes"), dict) else ()
     _drop_nodes(kept, wrong)
-    sections = {str(path[0]) for path in wrong if len(path) == 1}
+    sections = dropped | {str(path[0]) for path in wrong if len(path) == 1}
     for section in sections & set(_LISTS):
         kept.pop(section, None)
     for path in wrong:

@@ -17,7 +17,7 @@ FAST = {"frequency": "5.18GHz", "phy": "802.11n-20MHz-2x2"}
 
 
 def scenario(nodes: dict[str, Any], **top: Any) -> Scenario:
-    return parse_scenario({"duration": "5s", "radio": RADIO, "nodes": nodes, **top})
+    return parse_scenario({"duration": "5s", "radio": RADIO, "nodes": nodes} | top)
 
 
 def problems(nodes: dict[str, Any], **top: Any) -> list[str]:
@@ -119,3 +119,12 @@ def test_there_are_subnets_for_forty_frequencies() -> None:
     assert any("there are 41 frequencies; the most is 40" in problem for problem in problems(nodes))
     del nodes["n40"]
     assert compile_plan(scenario(nodes)).ports[39].address == "10.239.0.40/16"
+
+
+def test_a_mistake_in_the_radio_is_the_only_one_told() -> None:
+    """Who is joined by radios that do not validate is not known, so nothing is said of it."""
+    udp_mesh = {"processes": ["udp_mesh"]}
+    traffic = [{"from": "a", "to": "b", "topic": "t", "size": "1kB", "rate": "1Hz"}]
+    wrong = {**RADIO, "propagation": {"model": "free_space", "shadowing": 3}}
+    [problem] = problems({"a": udp_mesh, "b": udp_mesh}, traffic=traffic, radio=wrong)
+    assert "radio.propagation.shadowing: 3 has no unit" in problem
