@@ -142,7 +142,7 @@ def _volumes(trace: Trace) -> Section:
     from netlab.report import plots
 
     total = sum(size for by_node in found.values() for size in by_node.values())
-    caption = f"Each message once per destination; {total / 1e6:.1f} MB in all, by the node that published it."
+    caption = f"Each message once per destination; {total / 1e6:.3g} MB in all, by the node that published it."
     return Section(title, caption, plots.data_volumes(found))
 
 

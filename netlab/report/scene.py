@@ -50,7 +50,7 @@ def load_scene(path: Path) -> Scene:
             if isinstance(record, VerdictRecord) and record.verdict is not Verdict.OUT_OF_RANGE:
                 pair = f"{record.sender[0]} > {record.receiver[0]}"
                 success.add(pair, at_s, float(record.departs_ns > 0))
-                if record.rssi_dbm is not None:
+                if record.rssi_dbm is not None and record.verdict is not Verdict.OUTAGE:
                     rssi_dbm.add(pair, at_s, record.rssi_dbm)
             elif isinstance(record, JsonRecord) and record.kind is Kind.POSES:
                 _poses(scene, record.payload, at_s)

@@ -42,7 +42,8 @@ def capture(tmp_path: Path) -> Path:
         topics.add_json("/poses", poses_message(poses, float(second), ns(second)), ns(second))
         lost = second >= 14
         ends = encode_verdict_ends(("robot1", "radio0"), ("base", "radio0"))
-        body = encode_verdict(ends, Verdict.LOST if lost else Verdict.DELIVERED, 0 if lost else ns(second), 99, 7)
+        verdict = Verdict.OUTAGE if second > 17 else Verdict.LOST if lost else Verdict.DELIVERED
+        body = encode_verdict(ends, verdict, 0 if lost else ns(second), 99, 7)
         body += encode_attempts(1, -50 - second)
         topics.writer.add_message(topics.verdicts(), ns(second), ns(second), body)
         message = {"event": "published", "stream": 0, "publication": 0, "seq": second, "size_bytes": 1000}
@@ -69,6 +70,7 @@ def test_the_scene_is_read_with_places_and_decisions(capture: Path) -> None:
     )
     assert scene.success["robot1 > base"][13:15] == [(13.5, 1.0), (14.5, 0.0)]
     assert scene.rssi_dbm["robot1 > base"][0] == (0.5, -50.0)
+    assert len(scene.rssi_dbm["robot1 > base"]) == 18, "in an outage nothing is heard"
 
 
 def test_every_plot_is_there_and_the_page_needs_nothing_else(capture: Path, tmp_path: Path) -> None:

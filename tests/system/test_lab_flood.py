@@ -80,6 +80,25 @@ def test_pings_broadcasts_and_whole_packets_pass(make_lab: MakeLab) -> None:
     }
 
 
+@pytest.mark.parametrize("how", ["interface", "cable"])
+def test_a_member_that_went_down_and_came_back_carries_again(make_lab: MakeLab, how: str) -> None:
+    lab = make_lab(LINE)
+    ping = "for try in $(seq 20); do ping -c1 -W1 b && exit; done; exit 1"
+
+    def switch(up: bool) -> None:
+        if how == "cable":
+            lab.carrier("r", "b", up=up)
+        else:
+            assert lab.exec("r", "ip", "link", "set", "eth1", "up" if up else "down").returncode == 0
+
+    assert lab.exec("a", "sh", "-c", ping).returncode == 0
+    switch(False)
+    assert lab.exec("a", "ping", "-c1", "-W1", "b").returncode == 1
+    switch(True)
+    assert lab.exec("a", "sh", "-c", ping, timeout_s=60).returncode == 0, lab.log("r", "flood")
+    assert {row["state"] for row in lab.status()["processes"]} == {"ready"}
+
+
 def test_the_end_of_a_flood_is_reported(make_lab: MakeLab) -> None:
     lab = make_lab(LINE)
     lab.begin()
