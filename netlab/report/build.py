@@ -20,6 +20,7 @@ PAGE = "index.html"
 _GRID_COLUMNS = 120
 _ROWS_MAX = 40
 _PANELS_MAX = 8
+_ACTS_MAX = 40
 
 
 def require_plots() -> None:
@@ -153,9 +154,16 @@ def _latencies(trace: Trace) -> Section:
     from netlab.report import plots
 
     caption = (
-        "Every delivered message, the lower number the more urgent. Long series are thinned out to their extremes."
+        "Every delivered message, the lower number the more urgent. Dotted lines are acts on the lab: outages, flaps, "
+        "kills and the like. Long series are thinned out to their extremes."
     )
-    return Section(title, caption, plots.latency_by_priority(found))
+    return Section(title, caption, plots.latency_by_priority(found, acts_s(trace)))
+
+
+def acts_s(trace: Trace) -> list[float]:
+    """When something was done to the lab; none where it was done so often that lines would hide the rest."""
+    times = sorted({round(step.at_s, 2) for step in trace.timeline if step.kind not in ("start", "end")})
+    return times if len(times) <= _ACTS_MAX else []
 
 
 def _waiting(trace: Trace) -> Section:
@@ -165,7 +173,7 @@ def _waiting(trace: Trace) -> Section:
     from netlab.report import plots
 
     caption = "Payload published and not yet delivered, by publishing node; of messages that came through in the end."
-    return Section(title, caption, plots.queue_depths(found))
+    return Section(title, caption, plots.queue_depths(found, acts_s(trace)))
 
 
 def _links(trace: Trace, scene: Scene) -> list[Section]:

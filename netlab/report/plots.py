@@ -157,8 +157,8 @@ def data_volumes(found: Mapping[str, Mapping[str, int]]) -> str:
 
 
 @_in_style
-def latency_by_priority(found: Mapping[int, Points]) -> str:
-    """Latency of every message over time, coloured by priority, on a logarithmic scale."""
+def latency_by_priority(found: Mapping[int, Points], acts_s: Sequence[float]) -> str:
+    """Latency of every message over time, coloured by priority, on a logarithmic scale; lines at ``acts_s``."""
     figure, (axes,) = _figure(1, 1, height_in=3.2)
     for number, (priority, series) in enumerate(found.items()):
         thin = envelope(series, columns=_COLUMNS)
@@ -166,14 +166,15 @@ def latency_by_priority(found: Mapping[int, Points]) -> str:
         marker = "os^Dv*P"[number % 7]
         colour = palette.SERIES[number % len(palette.SERIES)]
         axes.plot(thin.at_s, values_ms, marker, markersize=2.5, color=colour, label=f"priority {priority}")
+    _mark(axes, acts_s)
     axes.set(xlabel="published at, s", ylabel="latency, ms", yscale="log")
     _legend_beside(axes)
     return _svg(figure)
 
 
 @_in_style
-def queue_depths(found: Mapping[str, Points]) -> str:
-    """Payload that waits or is under way, by publishing node, over time."""
+def queue_depths(found: Mapping[str, Points], acts_s: Sequence[float]) -> str:
+    """Payload that waits or is under way, by publishing node, over time; lines at ``acts_s``."""
     figure, (axes,) = _figure(1, 1, height_in=3.0)
     scale, unit = _unit(max(max(series.values) for series in found.values()))
     for number, (node, series) in enumerate(found.items()):
@@ -181,6 +182,7 @@ def queue_depths(found: Mapping[str, Points]) -> str:
         colour, dash = palette.SERIES[number % len(palette.SERIES)], palette.DASHES[number // len(palette.SERIES) % 4]
         sizes = [value / scale for value in thin.values]
         axes.step(thin.at_s, sizes, where="post", color=colour, linestyle=dash, label=node)
+    _mark(axes, acts_s)
     axes.set(xlabel="time, s", ylabel=f"payload, {unit}", ylim=(0, None))
     _legend_beside(axes)
     return _svg(figure)
@@ -206,6 +208,11 @@ def link_quality(found: Grid, *, label: str, least: float | None = None, most: f
 def _unit(most: float) -> tuple[float, str]:
     """A divisor and its unit, so that ``most`` bytes are a number of few digits."""
     return next(((scale, unit) for scale, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")) if most >= scale), (1, "B"))
+
+
+def _mark(axes: Axes, acts_s: Sequence[float]) -> None:
+    for at_s in acts_s:
+        axes.axvline(at_s, color=palette.UNKNOWN, linestyle=":", linewidth=1.4, zorder=0.5)
 
 
 def _legend_beside(axes: Axes) -> None:

@@ -17,8 +17,9 @@ from netlab.cli import main
 from netlab.errors import CaptureError, MachineError
 from netlab.medium.verdicts import Verdict
 from netlab.report import build, palette
-from netlab.report.build import write_report
+from netlab.report.build import acts_s, write_report
 from netlab.report.scene import load_scene
+from netlab.traces.model import Step, Trace
 
 T0_NS = 1_800_000_000_000_000_000
 PLOTS = ("Time between messages: pulse", "Map", "Data volume", "Latency by", "Queue depths", "Signal", "Link quality")
@@ -89,6 +90,15 @@ def test_every_plot_is_there_and_the_page_needs_nothing_else(capture: Path, tmp_
     for picture in re.findall(r"<svg.*?</svg>", text, flags=re.DOTALL):
         ElementTree.fromstring(picture)
     assert palette.style() in text
+
+
+def test_acts_on_the_lab_are_marked_unless_they_are_too_many() -> None:
+    steps = [
+        Step(ns(at_s), at_s, "", kind)
+        for at_s, kind in ((0.0, "start"), (5.0, "outage"), (5.0, "outage"), (9.0, "end"))
+    ]
+    assert acts_s(Trace(timeline=steps)) == [5.0]
+    assert acts_s(Trace(timeline=[Step(ns(n), float(n), "", "flap_down") for n in range(41)])) == []
 
 
 def test_the_same_capture_gives_the_same_page(capture: Path, tmp_path: Path) -> None:
