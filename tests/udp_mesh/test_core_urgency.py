@@ -107,7 +107,7 @@ def check_order(own: list[events.Event], published: dict[int, tuple[int, int]]) 
 def test_behind_a_bottleneck_two_fragments_or_two_milliseconds_are_ahead_of_the_urgent(
     make_net: Any, seed: int, rate_bps: float, delay_s: float, gaps_s: list[float]
 ) -> None:
-    """What was handed to the kernel waits at the bottleneck; while the flow probes for its share, half as much more."""
+    """What was handed to the kernel waits at the bottleneck; while the flow probes for its share it may be twice that."""
     net = make_net(seed=seed, limit_packets=50, delay_s=delay_s, rate_bps=rate_bps)
     net.add("a")
     net.add("b")
@@ -122,8 +122,8 @@ def test_behind_a_bottleneck_two_fragments_or_two_milliseconds_are_ahead_of_the_
         waits.append(max(0.0, net.links["a", "b"].free_at_s - net.now) / limit_s)
         net.publish("a", "urgent", bytes(100), "b", priority=0)
     waits.sort()
-    assert waits[len(waits) * 3 // 4] <= 1.0, waits
-    assert waits[-1] <= 1.5, waits
+    assert waits[len(waits) // 2] <= 1.0, waits
+    assert waits[-1] <= 2.0, waits
 
 
 @given(
