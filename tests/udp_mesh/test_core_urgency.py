@@ -107,7 +107,7 @@ def check_order(own: list[events.Event], published: dict[int, tuple[int, int]]) 
 def test_behind_a_bottleneck_two_fragments_or_two_milliseconds_are_ahead_of_the_urgent(
     make_net: Any, seed: int, rate_bps: float, delay_s: float, gaps_s: list[float]
 ) -> None:
-    """What was handed to the kernel waits at the bottleneck; while the flow probes for its share it may be twice that."""
+    """What was handed to the kernel waits at the bottleneck; while the flow probes for its share, up to twice that."""
     net = make_net(seed=seed, limit_packets=50, delay_s=delay_s, rate_bps=rate_bps)
     net.add("a")
     net.add("b")
