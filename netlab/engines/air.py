@@ -117,6 +117,14 @@ class AirEngine:
         assert isinstance(answer, AirStats)
         return answer
 
+    def timing(self) -> dict[str, float] | None:
+        """How late frames left the medium: ``late_p99_s``, ``late_max_s``; None if the process is gone."""
+        try:
+            stats = self.stats()
+        except LabError:
+            return None
+        return {"late_p99_s": stats.late_p99_s, "late_max_s": stats.late_max_s}
+
     def problem(self) -> str | None:
         """What has gone wrong since the start, for a person; None if nothing."""
         if self._process is not None and self._process.ended:

@@ -88,6 +88,9 @@ class Engine(Protocol):
     def pair_counters(self) -> dict[Pair, PairCounters]:
         """Counts of every pair since bring-up; empty where verdicts tell more (``air``)."""
 
+    def timing(self) -> dict[str, float] | None:
+        """How late frames left the medium (``late_p99_s``, ``late_max_s``); None where the kernel is the medium."""
+
     def problem(self) -> str | None:
         """What has gone wrong since the start, for a person; None if nothing."""
 

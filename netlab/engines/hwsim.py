@@ -171,6 +171,10 @@ class HwsimEngine:
         assert isinstance(answer, HwsimStats)
         return answer
 
+    def timing(self) -> dict[str, float] | None:
+        """That of the wires' engine."""
+        return self._wires.timing()
+
     def problem(self) -> str | None:
         """What has gone wrong since the start, for a person; None if nothing."""
         if self._process is not None and self._process.ended:

@@ -161,6 +161,10 @@ class NetemEngine:
         except OSError as error:
             raise MachineError(f"the kernel does not tell its counters: {error}") from error
 
+    def timing(self) -> dict[str, float] | None:
+        """None: the kernel is the medium."""
+        return None
+
     def problem(self) -> str | None:
         """Always None: nothing of this engine runs outside the kernel."""
         return None

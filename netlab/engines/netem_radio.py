@@ -100,6 +100,10 @@ class NetemRadios:
         """See the inner engine."""
         return self._pairs.pair_counters()
 
+    def timing(self) -> dict[str, float] | None:
+        """See the inner engine."""
+        return self._pairs.timing()
+
     def problem(self) -> str | None:
         """See the inner engine."""
         return self._pairs.problem()

@@ -137,6 +137,7 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
         "duration_s": scenario.duration_s,
         "bring_up_s": final["bring_up_s"],
         **summary(trace),
+        "medium": final.get("medium"),
         "processes": [_process(row) for row in final["used"]],
         "expectations": [
             {"name": result.name, "passed": result.passed, "measured": result.measured, "limit": result.limit}

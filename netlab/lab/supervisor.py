@@ -194,6 +194,7 @@ class Supervisor:
             "notices": self._notices,
             "failures": self._failures,
             "worst_stall_s": self._stalls.worst_s,
+            "medium": self._engine.timing(),
             "capture": str(self._options.capture) if self._options.capture else None,
             "recorder": self._recorder_stats,
             "used": self._used,

@@ -24,6 +24,9 @@ class RecordingEngine:
     def bring_up(self) -> float:
         return 0.0
 
+    def timing(self) -> dict[str, float] | None:
+        return None
+
     def problem(self) -> str | None:
         return None
 

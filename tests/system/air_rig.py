@@ -288,6 +288,7 @@ def shared_channel() -> None:
     assert time.monotonic() - start > 2 * count * 8 * 1400 / 6e6  # what 6 Mbit/s carry in less
     stats = rig.engine.stats()
     assert stats.channels["s"].acknowledged >= 2 * count
+    assert rig.engine.timing() is not None
     assert stats.late_p99_s <= stats.late_max_s
     rig.engine.set_rssi("s", np.full((3, 3), -np.inf))
     rig.send(0, 2, b"too far")

@@ -17,7 +17,7 @@ PAIR = DATA / "pair.yaml"
 
 KEYS = {
     *("scenario", "engine", "clock", "seed", "duration_s", "bring_up_s"),
-    *("streams", "reconnects", "links", "processes", "expectations", "capture"),
+    *("streams", "reconnects", "links", "medium", "processes", "expectations", "capture"),
 }
 STREAM_KEYS = {
     *("source", "destination", "topic", "priority", "sent", "delivered", "duplicates"),
