@@ -80,7 +80,9 @@ def _density(axes: Axes, entry: Arrivals) -> None:
     axes.axvspan(mean - sigma, mean + sigma, color=palette.SERIES[1], alpha=0.14, linewidth=0)
     outside = len(entry.intervals_s) - len(shown)
     beyond = f", {outside} beyond" if outside else ""
-    axes.set_title(f"{entry.stream}\n{len(entry.intervals_s)} intervals{beyond}, {entry.gaps} gaps")
+    axes.set_title(
+        f"{entry.stream}\n{len(entry.intervals_s)} intervals{beyond}, {entry.gaps} gap{'s' * (entry.gaps != 1)}"
+    )
     axes.set(xlabel="time since the message before, s", ylabel="density, 1/s", xlim=(low, high))
     axes.legend(fontsize=8)
 
@@ -191,7 +193,7 @@ def queue_depths(found: Mapping[str, Points], acts_s: Sequence[float]) -> str:
 @_in_style
 def link_quality(found: Grid, *, label: str, least: float | None = None, most: float | None = None) -> str:
     """One row per directed pair of nodes, coloured by a quantity over time; blank where nothing was sent."""
-    figure, (axes,) = _figure(1, 1, height_in=1.0 + _ROW_IN * len(found.rows))
+    figure, (axes,) = _figure(1, 1, height_in=max(1.0 + _ROW_IN * len(found.rows), 2.2))
     values = [[math.nan if value is None else value for value in row] for row in found.values]
     end_s = found.start_s + found.column_s * len(found.values[0])
     extent = (found.start_s, end_s, len(found.rows) - 0.5, -0.5)
