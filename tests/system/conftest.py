@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from netlab.kernel import tun
+from netlab.kernel.probe import in_child, try_tun
 from tests.system.kernel_rig import tc_features
 
 INSTALL = "sudo apt-get install tcpdump tshark iproute2 iputils-ping"
@@ -37,6 +39,14 @@ def netem_kernel() -> None:
     problem = tc_features().netem_problem
     if problem is not None:
         pytest.skip(f"{problem}; the tests of its physics run on a kernel that has it (`make test-vm`)")
+
+
+@pytest.fixture
+def taps() -> None:
+    """Skip where this user may not make the interfaces of `mesh: flood`."""
+    problem = in_child(try_tun)
+    if problem is not None:
+        pytest.skip(f"no TAP interface ({problem}); {tun.REMEDY}, or run these tests as root")
 
 
 @pytest.fixture

@@ -12,6 +12,8 @@ from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, PacketRecord
 from netlab.pytest_plugin import MakeLab
 
+pytestmark = pytest.mark.usefixtures("taps")
+
 FLOOD_TYPE = bytes.fromhex("88b5")
 LINE: dict[str, Any] = {
     "duration": "2s",

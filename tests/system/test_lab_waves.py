@@ -101,6 +101,7 @@ nodes:
 """
 
 
+@pytest.mark.usefixtures("taps")
 def test_a_parent_with_two_radios_joins_two_channels(make_lab: MakeLab) -> None:
     lab = make_lab(yaml.safe_load(MARSUPIAL))
     assert lab.exec("base", "ping", "-c2", "-W2", "uav").returncode == 0
