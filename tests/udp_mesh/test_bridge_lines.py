@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from udp_mesh.core import wire
+from udp_mesh.core.events import PeerUp
 
 FAST, SLOW = 0, 1
 
@@ -84,3 +85,17 @@ def test_what_is_behind_a_slow_link_waits_at_its_sender(places: Any) -> None:
     sent_bytes = sum(len(d.data) for _at, d in net.sent["rover"] if d.path.via)
     assert 0.6 * 5000 < 8 * sent_bytes / 8 < 1.05 * 5000  # acknowledgements and beacons share the line
     assert net.cores["bridge"].stats()["bridge_dropped"] == 0
+
+
+def test_a_newcomer_behind_a_bridge_is_known_at_once(places: Any) -> None:
+    net = places({"rover": (FAST,), "bridge": (FAST, 2), "far": (2,)})
+    net.start("bridge")
+    net.meet()
+    for _ in range(6):  # without a word of the bridge it would be its next beacon, within a second
+        net.stop("far")
+        net.run(5.3)
+        epoch = net.add("far").epoch
+        net.run(0.3)
+        up = [event for event in net.of("rover", PeerUp) if event.peer == "far"]
+        assert up[-1].epoch == epoch
+        assert net.cores["rover"].is_online("far")

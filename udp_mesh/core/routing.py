@@ -22,8 +22,7 @@ class Router:
         peer.paths.heard(path, now=now)
         if path == peer.path:
             return
-        is_moved = (path.carrier, path.via) == (peer.path.carrier, peer.path.via) or path[:2] == peer.path[:2]
-        if is_moved or not peer.is_online:
+        if (path.carrier, path.via) == (peer.path.carrier, peer.path.via) or not peer.is_online:
             self._use(peer, path, now=now)
         else:
             self._choose(peer, now=now)

@@ -56,8 +56,9 @@ class NodeState:
 
     def hops(self, path: Path) -> list[Carrier]:
         """Return the carrier of a path, and the link behind the bridge if there is one."""
-        hops = (self.carriers.get(path.carrier), self.links.get(path.via) if path.via else None)
-        return [hop for hop in hops if hop is not None]
+        carrier = self.carriers.get(path.carrier)
+        hops = [] if carrier is None else [carrier]
+        return [*hops, self.links[path.via]] if path.via else hops
 
     def packet_bytes(self, path: Path) -> int:
         """Return the largest datagram for a path, before it is sealed."""
@@ -75,7 +76,10 @@ class NodeState:
 
     def free_at_s(self, path: Path) -> float:
         """Return when a path of known rate has sent what it was given: what waits there, priorities do not rule."""
-        return max((hop.busy_until_s for hop in self.hops(path)), default=NEVER_S)
+        if path.via:
+            return max(hop.busy_until_s for hop in self.hops(path))
+        carrier = self.carriers.get(path.carrier)
+        return NEVER_S if carrier is None else carrier.busy_until_s
 
     def broadcast_paths(self, carrier: Carrier) -> list[Path]:
         """Return where a broadcast goes: to all at once, or where neighbours are fixed, to each and to who is heard."""
