@@ -24,12 +24,21 @@ from netlab.scenario.recover import Doubt
 from netlab.scenario.traffic import ALL, Stream, Traffic
 
 
+_AFTER_THE_END = "is not before the end"
+
+
 def check_activity(scenario: Scenario, doubt: Doubt) -> Iterator[Problem]:
     """Yield every mistake in what traffic, events and expectations refer to."""
     check = _Activity(scenario, doubt)
     yield from check.traffic()
     yield from check.events()
     yield from check.expectations()
+
+
+def is_after_the_end(problem: Problem) -> bool:
+    """Whether a problem is that an event would come after the end."""
+    path, message = problem
+    return path[:1] == ("events",) and path[2:] == ("at",) and _AFTER_THE_END in message
 
 
 class _Activity:
@@ -88,7 +97,7 @@ class _Activity:
             if event.at_s >= duration_s and "duration" not in self._doubt.sections:
                 yield (
                     (*path, "at"),
-                    f"{DURATION.format(event.at_s)} is not before the end; duration is {DURATION.format(duration_s)}",
+                    f"{DURATION.format(event.at_s)} {_AFTER_THE_END}; duration is {DURATION.format(duration_s)}",
                 )
             for kind in ("outage", "flap", "link"):
                 part: Outage | Flap | LinkChange | None = getattr(event, kind)

@@ -76,7 +76,7 @@ class _Compiler:
 
     def moments(self) -> Iterator[_Moment]:
         yield from self._trace_moments()
-        for event in self._scenario.events:
+        for event in (event for event in self._scenario.events if event.at_s < self._scenario.duration_s):
             if event.outage is not None:
                 end_s = event.at_s + event.outage.for_s
                 yield from self._cut(event.at_s, end_s, event.outage, Hold(self._silent(event.outage)))
