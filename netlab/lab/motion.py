@@ -43,6 +43,7 @@ class Motion:
         self._moves_at_all = any(len(set(track.points_m)) > 1 or track.active_from_s > 0 for track in self.tracks)
         #: Whether something else than places changes with time.
         self.always_ticks = False
+        self.on_failure: Callable[[str], None] = lambda text: None
         self._t0_ns: int | None = None
         self._task: asyncio.Task[None] | None = None
 
@@ -70,6 +71,7 @@ class Motion:
         self._t0_ns = t0_ns
         if self._task is None and (self._moves_at_all or self.always_ticks):
             self._task = asyncio.create_task(self._run(t0_ns))
+            self._task.add_done_callback(self._ended)
 
     def end(self) -> None:
         """Tick no more."""
@@ -101,6 +103,10 @@ class Motion:
         self.on_tick(at_s)
         if poses:
             self._record_poses(at_s, time.time_ns())
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self.on_failure(f"nothing moves any more: {error!r}")
 
     async def _run(self, t0_ns: int) -> None:
         number = 0

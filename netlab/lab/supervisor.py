@@ -105,6 +105,7 @@ class Supervisor:
         folder = self._folder.path
         self.run.specs_of = lambda node: node_processes(self._scenario, node, folder, self.plan)
         self.run.on_start = self.motion.begin
+        self.motion.on_failure = self._fail
         self.run.in_contact = lambda a, b: self.motion.in_contact(a, b)
         specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)

@@ -23,7 +23,6 @@ from netlab.scenario.quantities import DURATION
 from netlab.scenario.recover import Doubt
 from netlab.scenario.traffic import ALL, Stream, Traffic
 
-
 _AFTER_THE_END = "is not before the end"
 
 

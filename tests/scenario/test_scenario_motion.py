@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
+from netlab.engines.plan import compile_plan
 from netlab.errors import ScenarioError
 from netlab.scenario import parse_scenario
 from netlab.scenario.motion import tracks
+from netlab.timeline import compile_timeline
 
 TERRAIN = """\
 duration: 120s
@@ -176,3 +178,12 @@ def test_a_lab_of_wires_does_without_numpy() -> None:
         "sys.exit('numpy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_scenario_that_is_cut_short_leaves_out_what_comes_later() -> None:
+    events = "[{at: 5s, move: {node: a, to: [9, 9]}}, {at: 50s, deploy: b}]"
+    text = f"duration: 60s\nnodes: {{a: , b: {{carried_by: a}}}}\nevents: {events}"
+    scenario = parse_scenario(text, overrides=["duration=20s"])
+    assert [entry.at_s for entry in compile_timeline(scenario, compile_plan(scenario))] == [5]
+    [problem] = problems(text.replace("60s", "20s"))
+    assert problem == "s.yaml:3: events[1].at: 50s is not before the end; duration is 20s"
