@@ -162,7 +162,7 @@ class ScenarioRun:
                 self._deploy(node, set(pairs))
             case MoveNode():
                 pass  # the motions say where it is
-        if not self.in_contact(*map(str, joins.get("restores", ("", "")))):
+        if (restores := joins.get("restores")) and not self.in_contact(*map(str, restores)):
             joins.pop("restores")
         meaning: dict[str, Any] = {"restores": None, **joins}
         self._recording.timeline(kind, label, at_s=at_s, **meaning)

@@ -216,10 +216,10 @@ class Supervisor:
             await self.run.run()
         except asyncio.CancelledError:  # a failure, which stands in the status
             pass
-        except OSError as error:
+        except Exception as error:
             if self.run.t0_ns is None:
                 raise
-            self._failures.append(f"the scenario could not go on: {error}")
+            self._failures.append(f"the scenario could not go on: {error!r}")
         finally:
             watching.cancel()
         self._used = [{**process.identity(), **asdict(process.usage())} for process in self.processes.all()]
