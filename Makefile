@@ -39,12 +39,16 @@ test: $(STAMP) tools
 
 # The kernel that the box needs is built once per machine (about 10 minutes) and then taken from the cache. System tests
 # then run in two boxes side by side, in virtual time: over netem, with the kernel's mesh and radios, then over air.
+OVER_NETEM := tests/agreement/test_agreement_engines.py $(wildcard tests/system/test_kernel_netem*.py) \
+  $(addprefix tests/system/test_,lab_flood.py lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py udp_mesh_goals.py)
+OVER_AIR := $(addprefix tests/system/test_,air.py lab_scenarios.py lab_tunnels.py)
+IN_BOXES := -n 2 --lab-clock=virtual
+
 test-vm: $(STAMP) tools vm-tools
 	@$(BIN)/netlab vm build
 	@$(BIN)/python -m pytest -n auto tests/vm $(PYTEST_ARGS)
-	@$(BIN)/python -m pytest -n 2 --lab-clock=virtual --lab-engine=netem tests/agreement/test_agreement_engines.py tests/system/test_kernel_netem*.py \
-	  $(addprefix tests/system/test_,lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py udp_mesh_goals.py) $(PYTEST_ARGS)
-	@$(BIN)/python -m pytest -n 2 --lab-clock=virtual --lab-engine=air tests/system/test_air.py tests/system/test_lab_scenarios.py $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest $(IN_BOXES) --lab-engine=netem $(OVER_NETEM) $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest $(IN_BOXES) --lab-engine=air $(OVER_AIR) $(PYTEST_ARGS)
 
 # Rewrites docs/agreement.md: netem, air and the pure medium against theory and each other.
 agreement: $(STAMP) vm-tools
