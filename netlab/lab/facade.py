@@ -244,6 +244,14 @@ class Lab:
         """Change a link's impairments, in a scenario file's words: ``lab.link("a", "b", loss="5%", delay="20ms")``."""
         self._request({"do": "link", "between": [a, b], "words": words, "one_way": one_way})
 
+    def move(self, node: str, x_m: float, y_m: float, *, speed_mps: float | None = None) -> None:
+        """Put a node elsewhere, or send it there; it leaves its own motion.
+
+        Raises:
+            LabError: Unknown node, it is still carried, or the place lies in the rock.
+        """
+        self._request({"do": "move", "node": node, "to": [x_m, y_m], "speed_mps": speed_mps})
+
     def kill(self, node: str, process: str) -> None:
         """SIGKILL a process of a node."""
         self._request({"do": "kill", "node": node, "process": process})

@@ -75,6 +75,7 @@ def move(lab: Lab, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_person_moves_a_node(lab: Lab) -> None:
+    lab.move("robot", 30, 0)
     assert move(lab, "robot", "60", "-1").returncode == 0
     refused = move(lab, "robot", "60", "-10")
     assert refused.returncode == 2
