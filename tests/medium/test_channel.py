@@ -123,6 +123,19 @@ def test_exposed_senders_defer_and_distant_ones_do_not() -> None:
     assert exposed == pytest.approx(apart / 2, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_who_hears_only_the_receiver_waits_for_its_acknowledgement(seed: int) -> None:
+    links = {(0, 1): STRONG_DBM, (1, 2): STRONG_DBM, (2, 3): STRONG_DBM}
+    used = channel(strengths(4, links), seed=seed)
+    used.offer(0, bytes(1000), 1, now=0.0)
+    (first,) = drain(used)
+    during_s = first.at_s + G.sifs_s + G.ack_s(SIX) / 2
+    used.advance(during_s)
+    used.offer(2, bytes(1000), None, now=during_s)
+    (second,) = drain(used)
+    assert second.at_s >= first.at_s + G.sifs_s + G.ack_s(SIX) + G.difs_s + on_air_s(1000) - 1e-9
+
+
 def test_who_is_heard_below_the_threshold_is_no_reason_to_wait() -> None:
     faint = strengths(4, {(0, 1): STRONG_DBM, (2, 3): STRONG_DBM, (1, 2): -95.0})
     deaf = channel(faint, phy=replace(G, cca_dbm=-82.0))
@@ -161,7 +174,7 @@ def test_a_short_overlap_does_less_harm_than_a_long_one() -> None:
 
 
 def test_a_station_that_transmits_hears_nothing() -> None:
-    used = channel(strengths(2), phy=replace(G, cca_dbm=0.0))  # nobody defers
+    used = channel(strengths(2, {(0, 1): STRONG_DBM}), phy=replace(G, cca_dbm=0.0))  # nobody defers
     used.offer(0, bytes(1500), None, now=0.0)
     used.offer(1, bytes(1500), None, now=0.0)
     assert verdicts(drain(used)) == {"COLLISION": 2}
@@ -211,6 +224,8 @@ def test_a_queue_may_be_limited_in_bytes() -> None:
     used = channel(strengths(2), limit_bytes=250)
     assert [len(used.offer(0, bytes(100), 1, now=0.0)) for _ in range(3)] == [0, 0, 1]
     assert used.offer(0, bytes(50), 1, now=0.0) == []
+    assert len(drain(used)) == 3
+    assert used.offer(0, bytes(250), 1, now=1.0) == []
 
 
 def test_a_change_of_strengths_in_mid_frame_leaves_nobody_waiting() -> None:

@@ -102,7 +102,9 @@ def test_a_matrix_of_strengths_rules_until_the_next_one() -> None:
     assert told(used, 1, frame(1, 0), now=10.0) == [(0, Verdict.DELIVERED)]
     used.set_pairs({(1, 0): None})  # out of range whatever the matrix says
     used.set_rssi("air", np.full((3, 3), -50.0))
+    before = used.channel_stats["air"].attempts
     assert told(used, 1, frame(1, 0), now=20.0) == [(0, Verdict.OUT_OF_RANGE)]
+    assert used.channel_stats["air"].attempts == before + 7  # the radio knows: nobody answers
     assert told(used, 0, frame(0, 1), now=30.0) == [(1, Verdict.DELIVERED)]
 
 
