@@ -159,13 +159,12 @@ def test_a_pace_from_a_round_trip_that_was_no_rule_does_not_hold_urgent_messages
     net = make_net(seed=7)
     net.add("a")
     net.add("b")
+    net.link("a", "b", delay_s=0.5)
     net.meet()
-    net.link("a", "b", delay_s=1.0)
-    net.publish("a", "first", bytes(100), "b", priority=5)
-    net.run(3.0)
+    net.run(2.0)  # the greeting's answer has come
     net.link("a", "b", delay_s=0.001)
-    net.publish("a", "bulk", bytes(4000), "b", priority=9)
-    net.run(0.05)
+    net.publish("a", "bulk", bytes(20_000), "b", priority=9)
+    net.run(0.01)
     started_s = net.now
     net.publish("a", "alarm", bytes(100), "b", priority=1)
     net.run(1.0)
