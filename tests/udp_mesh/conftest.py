@@ -12,7 +12,6 @@ from random import Random
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, settings
 
 from tests.udp_mesh.bridge_places import places_class
 from udp_mesh.core import events, wire
@@ -20,10 +19,6 @@ from udp_mesh.core.mesh import Datagram, MeshCore, Path, PeerStatus, new_epoch
 from udp_mesh.core.settings import Settings
 
 HEADERS_BYTES = 42  # Ethernet, IPv4, UDP
-
-# A busy machine stalls for longer than Hypothesis's usual deadline; that is no finding.
-settings.register_profile("udp_mesh", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("udp_mesh")
 
 
 @dataclass(slots=True)
