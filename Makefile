@@ -40,7 +40,7 @@ test: $(STAMP) tools
 # The kernel that the box needs is built once per machine (about 10 minutes) and then taken from the cache. System tests
 # then run in two boxes side by side, in virtual time: over netem, with the kernel's mesh and radios, then over air.
 OVER_NETEM := tests/agreement/test_agreement_engines.py $(wildcard tests/system/test_kernel_netem*.py) \
-  $(addprefix tests/system/test_,lab_flood.py lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py udp_mesh_goals.py)
+  $(addprefix tests/system/test_,lab_flood_netem.py lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py udp_mesh_goals.py)
 OVER_AIR := $(addprefix tests/system/test_,air.py lab_scenarios.py lab_tunnels.py)
 IN_BOXES := -n 2 --lab-clock=virtual
 

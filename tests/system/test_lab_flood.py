@@ -55,13 +55,6 @@ def test_by_radio_a_relay_sends_again_where_it_heard(make_lab: MakeLab) -> None:
     assert {name for pair in result.trace.links for _, name in pair} == {"radio0"}
 
 
-@pytest.mark.usefixtures("netem_kernel")
-@pytest.mark.parametrize("scenario", [LINE, BY_RADIO], ids=["wires", "radio"])
-def test_on_the_kernel_s_own_physics_too(make_lab: MakeLab, scenario: dict[str, Any]) -> None:
-    result = make_lab(scenario, engine="netem").run()
-    assert result.stream("t")["delivered"] == 40, result.report()
-
-
 def test_pings_broadcasts_and_whole_packets_pass(make_lab: MakeLab) -> None:
     lab = make_lab(LINE)
     told = json.loads(lab.exec("r", "ip", "-json", "address").stdout)
