@@ -11,12 +11,13 @@ TOOLS  := tcpdump tshark iproute2 iputils-ping
 VM_TOOLS := gcc make flex bison bc libelf-dev xz-utils
 PYTEST_ARGS ?=
 
-.PHONY: lab test test-vm agreement vm-tools check bench venv tools clean help
+.PHONY: lab test test-vm test-tunnels agreement vm-tools check bench venv tools clean help
 
 help:
 	@echo "make lab     run the interactive lab on SCENARIO ($(SCENARIO))"
 	@echo "make test    run the whole test suite"
 	@echo "make test-vm run the tests of the kernel in a box, and system tests in virtual time inside it"
+	@echo "make test-tunnels run the missions of robots in tunnels, in virtual time"
 	@echo "make agreement  compare netem, air and the pure medium in virtual time; writes docs/agreement.md"
 	@echo "make check   ruff and mypy"
 	@echo "make bench   measure everything; BENCHES=... picks some"
@@ -41,7 +42,7 @@ test: $(STAMP) tools
 # then run in two boxes side by side, in virtual time: over netem, with the kernel's mesh and radios, then over air.
 OVER_NETEM := tests/agreement/test_agreement_engines.py $(wildcard tests/system/test_kernel_netem*.py) \
   $(addprefix tests/system/test_,lab_flood_netem.py lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py udp_mesh_goals.py)
-OVER_AIR := $(addprefix tests/system/test_,air.py lab_scenarios.py lab_tunnels.py)
+OVER_AIR := $(addprefix tests/system/test_,air.py lab_scenarios.py)
 IN_BOXES := -n 2 --lab-clock=virtual
 
 test-vm: $(STAMP) tools vm-tools
@@ -49,6 +50,11 @@ test-vm: $(STAMP) tools vm-tools
 	@$(BIN)/python -m pytest -n auto tests/vm $(PYTEST_ARGS)
 	@$(BIN)/python -m pytest $(IN_BOXES) --lab-engine=netem $(OVER_NETEM) $(PYTEST_ARGS)
 	@$(BIN)/python -m pytest $(IN_BOXES) --lab-engine=air $(OVER_AIR) $(PYTEST_ARGS)
+
+# Robots in tunnels, whole teams of them, in virtual time.
+test-tunnels: $(STAMP) tools vm-tools
+	@$(BIN)/netlab vm build
+	@$(BIN)/python -m pytest $(IN_BOXES) tests/system/test_lab_tunnels*.py $(PYTEST_ARGS)
 
 # Rewrites docs/agreement.md: netem, air and the pure medium against theory and each other.
 agreement: $(STAMP) vm-tools
