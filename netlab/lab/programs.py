@@ -12,6 +12,7 @@ from netlab.engines import mesh_interfaces
 from netlab.engines.base import LabPlan
 from netlab.engines.plan import compile_plan
 from netlab.lab.process import ProcessSpec, Restart
+from netlab.lab.resolution import SPREAD_S
 from netlab.lab.traffic import StreamSpec, encode_streams
 from netlab.medium.segments import WifiMode
 from netlab.scenario.model import Scenario
@@ -125,6 +126,8 @@ def traffic_sources(scenario: Scenario, plan: LabPlan) -> list[ProcessSpec]:
     by_node: dict[str, list[StreamSpec]] = {}
     for stream in streams(scenario):
         by_node.setdefault(stream.source, []).append(stream)
+    shares_a_channel = any(segment.channel is not None for segment in plan.segments)
+    loses = any(impairment.loss is not None for segment in plan.segments for impairment in segment.pairs.values())
     specs = []
     for node, own in by_node.items():
         # A destination may be out of reach when a carried source comes to life, which then waits for nobody.
@@ -135,8 +138,8 @@ def traffic_sources(scenario: Scenario, plan: LabPlan) -> list[ProcessSpec]:
         )
         extra = ["--seed", str(plan.seed), "--discovery-s", str(DISCOVERY_LIMIT_S)]
         extra += ["--await-peers", ",".join(sorted(reachable))]
-        if any(segment.channel is not None for segment in plan.segments):
-            extra.append("--resolve")
+        if shares_a_channel or loses:
+            extra += ["--resolve-spread-s", str(SPREAD_S if shares_a_channel else 0.0)]
         specs.append(_traffic(node, SOURCE, own, extra))
     return specs
 

@@ -62,7 +62,7 @@ def source_main(argv: list[str]) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--discovery-s", type=float, required=True, help="longest wait for destinations to be found")
     parser.add_argument("--await-peers", default="", help="comma-separated destinations that can be reached")
-    parser.add_argument("--resolve", action="store_true", help="have the kernel learn their link addresses, too")
+    parser.add_argument("--resolve-spread-s", type=float, help="have the kernels learn their link addresses, too")
     options = parser.parse_args(argv)
     streams = [StreamSpec(**fields) for fields in json.loads(options.streams)]
     with Client() as client:
@@ -70,9 +70,10 @@ def source_main(argv: list[str]) -> int:
         awaited = [peer for peer in options.await_peers.split(",") if peer]
         for peer in awaited:
             client.wait_for_peer(peer, timeout_s=max(0.0, deadline - time.monotonic()))
-        if options.resolve and awaited:
-            addresses = {peer.address for peer in client.peers() if peer.name in awaited}
-            resolve(addresses, random.Random(f"{options.seed}/resolve/{streams[0].source}"), deadline_s=deadline)
+        if options.resolve_spread_s is not None and awaited:
+            addresses = sorted({peer.address for peer in client.peers() if peer.name in awaited})
+            rng = random.Random(f"{options.seed}/resolve/{streams[0].source}")
+            resolve(addresses, rng, spread_s=options.resolve_spread_s, deadline_s=deadline)
         os.write(options.ready_fd, b"READY=1\n")
         command = socket.socket(fileno=options.command_fd)
         start = json.loads(command.recv(4096) or b"null")

@@ -7,8 +7,11 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from netlab.engines.plan import compile_plan
 from netlab.lab import programs
+from netlab.lab.resolution import SPREAD_S
 from netlab.scenario import parse_scenario
 
 MESH = {"processes": ["udp_mesh"]}
@@ -80,14 +83,22 @@ def test_sources_wait_for_the_destinations_that_they_can_reach() -> None:
     assert set(sources) == {"r1", "base"}
     awaited = {node: spec.argv[spec.argv.index("--await-peers") + 1] for node, spec in sources.items()}
     assert awaited == {"r1": "base,r2", "base": "r1"}
-    assert not any("--resolve" in spec.argv for spec in sources.values())
+    assert not any("--resolve-spread-s" in spec.argv for spec in sources.values())
 
 
-def test_on_a_shared_channel_link_addresses_are_known_before_the_start() -> None:
-    radio = {"phy": "802.11g-20MHz", "propagation": {"model": "none"}}
-    scenario = _scenario(traffic=TRAFFIC, radio=radio)
+@pytest.mark.parametrize(
+    ("words", "spread_s"),
+    [
+        ({"radio": {"phy": "802.11g-20MHz", "propagation": {"model": "none"}}}, SPREAD_S),
+        ({"radio": {"loss": "5%", "propagation": {"model": "none"}}}, 0.0),
+    ],
+)
+def test_where_requests_may_get_lost_link_addresses_are_known_before_the_start(
+    words: dict[str, Any], spread_s: float
+) -> None:
+    scenario = _scenario(traffic=TRAFFIC, **words)
     sources = programs.traffic_sources(scenario, compile_plan(scenario))
-    assert all("--resolve" in spec.argv for spec in sources)
+    assert {spec.argv[spec.argv.index("--resolve-spread-s") + 1] for spec in sources} == {str(spread_s)}
 
 
 def test_every_receiver_has_one_sink_with_all_its_streams() -> None:

@@ -1,26 +1,28 @@
-"""Which link addresses the kernel knows."""
+"""Who answers knows us."""
 
 from __future__ import annotations
 
 import random
 import time
 
+import pytest
+
 from netlab.lab import resolution
 
-TABLE = """IP address       HW type     Flags       HW address            Mask     Device
-10.200.0.1       0x1         0x2         02:4e:4c:00:00:00     *        radio0
-10.200.0.2       0x1         0x0         00:00:00:00:00:00     *        radio0
-10.200.0.3       0x1         0x6         02:4e:4c:00:00:02     *        radio0
-"""
 
-
-def test_only_complete_rows_count() -> None:
-    assert resolution.known(TABLE) == {"10.200.0.1", "10.200.0.3"}
-    assert resolution.known(TABLE.splitlines()[0]) == set()
+def test_it_ends_with_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr(time, "sleep", slept.append)
+    started_s = time.monotonic()
+    resolution.resolve(["127.0.0.1", "127.0.0.2"], random.Random(1), spread_s=0.25, deadline_s=started_s + 60.0)
+    assert time.monotonic() - started_s < 4.0, "loopback refuses at once"
+    assert len(slept) == 1
+    assert 0.0 < slept[0] < 0.25
 
 
 def test_it_does_not_wait_beyond_its_deadline_nor_for_nobody() -> None:
     started_s = time.monotonic()
-    resolution.resolve(["127.0.0.1"], random.Random(1), deadline_s=started_s)
-    resolution.resolve([], random.Random(1), deadline_s=started_s + 0.01)
+    resolution.resolve(["127.0.0.1"], random.Random(1), spread_s=0.25, deadline_s=started_s)
+    resolution.resolve([], random.Random(1), spread_s=0.0, deadline_s=started_s + 60.0)
+    resolution.resolve(["no address"], random.Random(1), spread_s=0.0, deadline_s=started_s + 60.0)
     assert time.monotonic() - started_s < 1.0

@@ -41,12 +41,12 @@ def test_without_redundancy_a_loss_costs_a_round_trip(make_lab: MakeLab) -> None
 
 
 def test_ten_robots_on_one_channel_yield_to_each_others_telemetry(make_lab: MakeLab) -> None:
-    result = make_lab(TOPOLOGIES / "shared_channel.yaml").run()
+    result = make_lab(TOPOLOGIES / "shared_channel.yaml", engine="air").run()
     assert not [row.name for row in result.expectations if not row.passed], result.report()
 
 
 def test_without_coordination_telemetry_waits_for_the_others_video(make_lab: MakeLab) -> None:
     """The same channel, the same traffic: what the radio gives everyone in turn is not enough."""
     overrides = ("udp_mesh.coordinate=false", "duration=5s")
-    result = make_lab(TOPOLOGIES / "shared_channel.yaml", overrides=overrides).run()
+    result = make_lab(TOPOLOGIES / "shared_channel.yaml", engine="air", overrides=overrides).run()
     assert [row.name for row in result.expectations if not row.passed and "telemetry" in row.name], result.report()
