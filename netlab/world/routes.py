@@ -11,6 +11,7 @@ from netlab.world.geometry import Flags, Floats, Indexes
 from netlab.world.ways import Ways, corners, unit
 
 _TIE = 1e-9
+_ENDS = ((0, 0), (0, 1), (1, 0), (1, 1))  # of the one edge and of the other, by which a way may leave and enter
 _AT_M = 1e-6  # a foot this near a point of the graph is at it
 
 
@@ -55,21 +56,21 @@ def choose_routes(
     to_ends = points_m[ends] - feet_m[:, None, :]  # (N, 2, 3)
     to_ends_m = np.sqrt(np.einsum("nsk,nsk->ns", to_ends, to_ends))
     lengths_m = np.stack(
-        [
-            to_ends_m[one, a] + ways.length_m[ends[one, a], ends[other, b]] + to_ends_m[other, b]
-            for a, b in ((0, 0), (0, 1), (1, 0), (1, 1))
-        ]
+        [to_ends_m[one, a] + ways.length_m[ends[one, a], ends[other, b]] + to_ends_m[other, b] for a, b in _ENDS]
     )
     # A place at one end of its edge belongs to the edge: of two equal lengths, the one that does not turn back there.
-    own_m = np.stack([to_ends_m[one, a] + to_ends_m[other, b] for a, b in ((0, 0), (0, 1), (1, 0), (1, 1))])
+    own_m = np.stack([to_ends_m[one, a] + to_ends_m[other, b] for a, b in _ENDS])
     best = np.argmin(lengths_m - _TIE * own_m, axis=0)
     a, b = best // 2, best % 2
     leave, enter = ends[one, a], ends[other, b]
     apart = feet_m[other] - feet_m[one]
     apart_m = np.sqrt(np.einsum("pk,pk->p", apart, apart))
     turns, out, back = _turns(ways, points_m, leave, enter, to_ends[one, a], to_ends[other, b])
-    inner_width_m = np.where(same_edge, np.inf, ways.width_m[leave, enter])
-    inner_height_m = np.where(same_edge, np.inf, ways.height_m[leave, enter])
+
+    def least(of_places: Floats, of_ways: Floats) -> Floats:
+        between = np.where(same_edge, np.inf, of_ways[leave, enter])
+        return np.minimum(np.minimum(of_places[one], of_places[other]), between)
+
     return Routes(
         one=one,
         other=other,
@@ -78,8 +79,8 @@ def choose_routes(
         enter=enter,
         length_m=np.where(same_edge, apart_m, lengths_m[best, np.arange(len(best))]),
         corners=np.where(same_edge, 0.0, turns),
-        width_m=np.minimum(np.minimum(widths_m[one], widths_m[other]), inner_width_m),
-        height_m=np.minimum(np.minimum(heights_m[one], heights_m[other]), inner_height_m),
+        width_m=least(widths_m, ways.width_m),
+        height_m=least(heights_m, ways.height_m),
         out=np.where(same_edge[:, None], unit(apart), out),
         back=np.where(same_edge[:, None], unit(-apart), back),
     )

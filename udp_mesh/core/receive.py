@@ -75,12 +75,10 @@ class Receiver:
         if packet.epoch == self._state.epoch:
             counters["own_datagrams"] += 1  # our broadcasts come back
             return
-        if packet.is_bridged:
-            told = self._links.way(wire.tag_of(packet.epoch), path)
-            if told is None:
-                counters["bridged_untold"] += 1
-                return
-            path = told.way
+        way = self._bridged_way(packet, path) if packet.is_bridged else path
+        if way is None:
+            return
+        path = way
         peer = self._sender(packet, path, now=now)
         is_for_us = packet.destination_tag in (0, self._state.tag)
         if packet.probes and is_for_us:
@@ -111,6 +109,14 @@ class Receiver:
             self._unnumbered(peer, packet, now=now)
         else:
             self._numbered(peer, packet, now=now)
+
+    def _bridged_way(self, packet: wire.Dissection, path: Path) -> Path | None:
+        """The way back by the bridge that passed a datagram on; None if it never told of its sender."""
+        told = self._links.way(wire.tag_of(packet.epoch), path)
+        if told is None:
+            self._state.counters["bridged_untold"] += 1
+            return None
+        return told.way
 
     def _sender(self, packet: wire.Dissection, path: Path, *, now: float) -> Peer | None:
         if packet.beacons:
