@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from netlab.pytest_plugin import MakeLab
-from tests.system.udp_mesh_hosts import Host, Line, join
+from tests.system.udp_mesh_hosts import Line, join, separate_hosts
 from udp_mesh.client import Client
 
 LINE = {
@@ -53,12 +53,8 @@ KEY = "00" * 31 + "01"
 
 @pytest.mark.parametrize("key", ["", f'key = "{KEY}"\n'], ids=["plain", "sealed"])
 def test_a_node_on_a_serial_line_of_5_kbit_per_second_reaches_one_two_carriers_away(tmp_path: Path, key: str) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("makes network namespaces and devices of its own: run it as root, or in `netlab vm`")
     with contextlib.ExitStack() as stack:
-        rover, relay, sensor = hosts = [Host(name, tmp_path) for name in ("rover", "relay", "sensor")]
-        for host in hosts:
-            stack.callback(host.close)
+        rover, relay, sensor = stack.enter_context(separate_hosts(tmp_path, "rover", "relay", "sensor"))
         join(rover, relay, "mesh0", network="10.9.0")
         ends = [_terminal(stack) for _ in range(2)]
         line = Line(ends[0][0], ends[1][0], rate_bps=5000)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.udp_mesh_hosts import Host, Line, exchange, join
+from tests.system.udp_mesh_hosts import Host, Line, exchange, join, separate_hosts
 from udp_mesh.client import Client
 
 KEY, OTHER_KEY = "00" * 31 + "01", "00" * 31 + "02"
@@ -23,15 +22,8 @@ KEY, OTHER_KEY = "00" * 31 + "01", "00" * 31 + "02"
 @pytest.fixture
 def hosts(tmp_path: Path) -> Iterator[tuple[Host, Host]]:
     """Two hosts that nothing joins yet."""
-    if os.geteuid() != 0:
-        pytest.skip("makes network namespaces and devices of its own: run it as root, or in `netlab vm`")
-    with contextlib.ExitStack() as stack:
-        pair = []
-        for name in ("alpha", "beta"):
-            host = Host(name, tmp_path)
-            stack.callback(host.close)
-            pair.append(host)
-        yield pair[0], pair[1]
+    with separate_hosts(tmp_path, "alpha", "beta") as (a, b):
+        yield a, b
 
 
 def test_ipv6_alone_is_enough(hosts: tuple[Host, Host]) -> None:

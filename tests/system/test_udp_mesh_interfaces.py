@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.system.udp_mesh_hosts import Host, join
+from tests.system.udp_mesh_hosts import Host, join, separate_hosts
 from udp_mesh.client import Client
 
 
 @pytest.fixture
 def pair(tmp_path: Path) -> Iterator[tuple[Host, Host]]:
     """Two hosts on one wire, with daemons that know each other."""
-    if os.geteuid() != 0:
-        pytest.skip("makes network namespaces and devices of its own: run it as root, or in `netlab vm`")
-    with contextlib.ExitStack() as stack:
-        a, b = hosts = [Host(name, tmp_path) for name in ("alpha", "beta")]
-        for host in hosts:
-            stack.callback(host.close)
+    with separate_hosts(tmp_path, "alpha", "beta") as (a, b):
         join(a, b, "mesh0", network="10.9.0")
-        for host in hosts:
+        for host in (a, b):
             host.start("")
         yield a, b
 

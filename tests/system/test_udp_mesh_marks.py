@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.system.udp_mesh_hosts import Host, join
+from tests.system.udp_mesh_hosts import join, separate_hosts
 from udp_mesh.client import Client
 
 SNIFF = """
@@ -35,14 +34,10 @@ print(json.dumps(seen))
 
 @pytest.mark.parametrize("kind", ["udp", "udp6"])
 def test_priorities_are_marked(tmp_path: Path, kind: str) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("makes network namespaces and devices of its own: run it as root, or in `netlab vm`")
     with contextlib.ExitStack() as stack:
-        a, b = hosts = [Host(name, tmp_path) for name in ("alpha", "beta")]
-        for host in hosts:
-            stack.callback(host.close)
+        a, b = stack.enter_context(separate_hosts(tmp_path, "alpha", "beta"))
         join(a, b, "mesh0", network="10.9.0")
-        for host in hosts:
+        for host in (a, b):
             host.start(f'dscp = true\n[[carriers]]\nkind = "{kind}"\n')
         words = [*b.enter, sys.executable, "-c", SNIFF]
         sniffer = stack.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))

@@ -11,7 +11,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 from udp_mesh.client import Client
 
@@ -62,6 +65,19 @@ class Host:
         self.holder.stdin.close()
         self.holder.stdout.close()
         self.holder.wait(timeout=5)
+
+
+@contextlib.contextmanager
+def separate_hosts(folder: Path, *names: str) -> Iterator[list[Host]]:
+    """Hosts that nothing joins yet; without root the test is skipped."""
+    if os.geteuid() != 0:
+        pytest.skip("makes network namespaces and devices of its own: run it as root, or in `netlab vm`")
+    with contextlib.ExitStack() as stack:
+        made = []
+        for name in names:
+            made.append(Host(name, folder))
+            stack.callback(made[-1].close)
+        yield made
 
 
 def join(a: Host, b: Host, name: str, *, network: str = "", mtu: int = 1500) -> None:
