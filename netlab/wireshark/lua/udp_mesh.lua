@@ -104,6 +104,7 @@ local f = {
     retransmission_of = field("framenum", "retransmission_of", "First sent in", base.NONE, frametype.NONE),
     inversion = field("bool", "inversion", "Priority inversion"),
     inversion_id = field("uint64", "inversion.message_id", "More urgent message that waited"),
+    inversion_priority = field("uint8", "inversion.priority", "Its priority"),
     inversion_done = field("framenum", "inversion.done_in", "Which left as a whole only in", base.NONE, frametype.NONE),
     inversion_waited = field("relative_time", "inversion.waited", "Had waited for"),
     reassembled_in = field("framenum", "reassembled_in", "Reassembled in", base.NONE, frametype.NONE),
@@ -137,13 +138,14 @@ udp_mesh.experts = e
 local frame_time = Field.new("frame.time_epoch")
 local interface_id = Field.new("frame.interface_id")
 local direction = Field.new("frame.packet_flags_direction")
-local link_sources = { Field.new("eth.src") }
+local link_source = Field.new("eth.src")
 local INBOUND = 1
 
-local known, base_s -- conversations of this file, and the second of its first datagram
+-- Conversations of this file, the second of its first datagram, and the last frame that was taken note of.
+local known, base_s, last_frame
 
 function udp_mesh.init()
-    known, base_s = conversations.new(), nil
+    known, base_s, last_frame = conversations.new(), nil, 0
 end
 
 local function duration(seconds)
@@ -169,17 +171,16 @@ local function node_name(tag)
 end
 
 -- Where and when a datagram was seen, in the terms of udp_mesh_conversations.lua.
-local function sight_of(tvb, pinfo)
-    local time = frame_time().value
+local function sight_of(key, pinfo)
+    local time, interface, flow = frame_time().value, interface_id(), direction()
     base_s = base_s or time.secs
     local sources = {}
-    for _, from in ipairs({ link_sources[1]() }) do
+    for _, from in ipairs({ link_source() }) do
         sources[#sources + 1] = tostring(from.value)
     end
-    local interface, flow = interface_id(), direction()
     local way = flow and flow.value or 0
     return {
-        key = pinfo.number .. "|" .. tvb:offset(),
+        key = key,
         frame = pinfo.number,
         t_s = (time.secs - base_s) + time.nsecs / 1e9,
         place = (interface and interface.value or 0) .. "/" .. #sources,
@@ -187,6 +188,20 @@ local function sight_of(tvb, pinfo)
         address = tostring(pinfo.net_dst),
         is_inbound = way == INBOUND,
     }
+end
+
+-- What is known of a datagram; at its first sight it is taken note of.
+--
+-- In the first of two passes tshark tells no fields of other protocols unless it was given a display filter. Then the
+-- second pass takes note, in order as the first would have.
+local function note_of(tvb, pinfo, packet)
+    local key = pinfo.number .. "|" .. tvb:offset()
+    local is_new = not known.notes[key] and pinfo.number >= last_frame
+    if is_new and not packet.bad and not pinfo.in_error_pkt and frame_time() then
+        last_frame = pinfo.number
+        known:see(packet, sight_of(key, pinfo), udp_mesh.prefs.grace_us / 1e6, base_s)
+    end
+    return known.notes[key]
 end
 
 local function add_tags(tree, what, range, tags, add_name)
@@ -254,16 +269,14 @@ local function add_fragment_note(pinfo, tree, note)
         tree:add_proto_expert_info(e.contradiction)
     end
     if note.retransmission_of then
-        generated(tree, f.retransmission, true):add_proto_expert_info(e.retransmission,
-            "Retransmission of a fragment first sent in frame " .. note.retransmission_of)
+        generated(tree, f.retransmission, true):add_proto_expert_info(e.retransmission)
         generated(tree, f.retransmission_of, note.retransmission_of)
     end
     local inversion = note.inversion
     if inversion then
-        local text = string.format("Priority inversion: message %s of priority %d had waited for %.3f ms",
-            plain(inversion.message.id), inversion.message.priority, inversion.waited_s * 1e3)
-        generated(tree, f.inversion, true):add_proto_expert_info(e.inversion, text)
+        generated(tree, f.inversion, true):add_proto_expert_info(e.inversion)
         generated(tree, f.inversion_id, UInt64(inversion.message.id))
+        generated(tree, f.inversion_priority, inversion.message.priority)
         generated(tree, f.inversion_waited, duration(inversion.waited_s))
         generated(tree, f.inversion_done, inversion.done_in)
     end
@@ -475,11 +488,7 @@ end
 
 -- Shows one datagram, which the whole tvb is.
 local function show_datagram(tvb, pinfo, tree, packet)
-    local sight = sight_of(tvb, pinfo)
-    if not pinfo.visited and not packet.bad and not pinfo.in_error_pkt then
-        known:see(packet, sight, udp_mesh.prefs.grace_us / 1e6, base_s)
-    end
-    local note = known.notes[sight.key]
+    local note = note_of(tvb, pinfo, packet)
     local item = tree:add(udp_mesh, tvb(), "udp_mesh")
     local texts, ways = {}, ""
     if tvb:len() >= wire.HEADER_BYTES then
