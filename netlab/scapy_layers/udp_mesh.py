@@ -166,8 +166,8 @@ FRAMES: dict[int, type[Frame]] = {
 }  # fmt: skip
 
 
-def _next_frame(_packet: Packet, _frames: list[BasePacket], _last: Packet | None, rest: bytes) -> type[Packet]:
-    return FRAMES.get(rest[0], Raw)
+def _next_frame(_packet: Packet, _frames: list[BasePacket], _last: Packet | None, rest: bytes) -> type[Packet] | None:
+    return FRAMES.get(rest[0], Raw) if rest else None
 
 
 def _is_sealed(packet: Packet) -> bool:
