@@ -1,10 +1,11 @@
-"""Datagrams of udp_mesh by chance: any sound one, and damage to it. Everything comes from the passed ``rng``."""
+"""Datagrams of udp_mesh: any sound one and damage to it, by chance (``rng``), and odd ones with their reasons."""
 
 from __future__ import annotations
 
 from random import Random
+from typing import Any
 
-from scapy.packet import Packet
+from scapy.packet import Packet, Raw
 
 from netlab.scapy_layers.udp_mesh import (
     Ack,
@@ -101,3 +102,50 @@ def damaged(datagram: bytes, rng: Random) -> bytes:
             changed = bytearray(datagram)
             changed[rng.choice([2, 3, rng.randrange(2, len(changed))])] = rng.randrange(256)
             return bytes(changed)
+
+
+#: What -> (frames, or other values of the header, and the reason).
+ODD: dict[str, tuple[dict[str, Any], str]] = {
+    "another protocol": ({"magic": b"uX"}, "foreign"),
+    "a later version": ({"version": 2}, "unknown_version"),
+    "version 0": ({"version": 0}, "unknown_version"),
+    "a flag of the future": ({"flags": 0x10}, "unknown_flags"),
+    "sealed, and we have no key": ({"flags": 0x04, "sealed": bytes(40)}, "sealed"),
+    "an unknown frame": ({"frames": [Ping(), Raw(b"\x09")]}, "unknown_frame"),
+    "frame type 0": ({"frames": [Raw(bytes(30))]}, "unknown_frame"),
+    "an index beyond the count": ({"frames": [Data(index=2, count=2, data=b"x")]}, "impossible_value"),
+    "no fragments": ({"frames": [Data(index=0, count=0, topic=b"t")]}, "impossible_value"),
+    "an unknown flag of a message": ({"frames": [Data(flags=2, topic=b"t")]}, "impossible_value"),
+    "no topic": ({"frames": [Data(topic=b"", data=b"x")]}, "impossible_value"),
+    "a topic longer than its frame": (
+        {"frames": [Data(topic=b"t", topic_length=9, length=3, data=b"x")]},
+        "impossible_value",
+    ),
+    "a topic that is no text": ({"frames": [Data(topic=b"\xff\xfe")]}, "impossible_value"),
+    "a length beyond the datagram": ({"frames": [Data(topic=b"t", length=900)]}, "truncated"),
+    "a length of which the rest is no frame": (
+        {"frames": [Data(topic=b"t", length=2, data=b"\xee\xee")]},
+        "unknown_frame",
+    ),
+    "a head cut short": ({"frames": [Raw(bytes(Data(topic=b"t"))[:9])]}, "truncated"),
+    "acknowledged below packet 0": ({"frames": [Ack(largest=3, first_range=9)]}, "impossible_value"),
+    "a gap below packet 0": ({"frames": [Ack(largest=9, ranges=[AckRange(gap=8)])]}, "impossible_value"),
+    "more ranges than there are": ({"frames": [Ack(largest=9, further=7, ranges=[AckRange()])]}, "truncated"),
+    "a name longer than its frame": ({"frames": [Hello(node=b"x", name_length=60)]}, "truncated"),
+    "no name": ({"frames": [Hello(node=b"")]}, "impossible_value"),
+    "a name that is too long": ({"frames": [Hello(node=b"x" * 64)]}, "impossible_value"),
+    "a name with a line feed": ({"frames": [Hello(node=b"a\nb")]}, "impossible_value"),
+    "more tags than there are": ({"frames": [Probe(tags=200, wanted=[1])]}, "truncated"),
+    "a link of more nodes than there are": ({"frames": [Link(tags=9, reached=[1])]}, "truncated"),
+    "half a floor": ({"frames": [Raw(bytes(Floor(message_id=9))[:4])]}, "truncated"),
+    "half a backlog": ({"frames": [Raw(bytes(Backlog())[:1])]}, "truncated"),
+    "a header cut short": ({"frames": []}, "truncated"),
+}
+
+
+def odd_datagram(name: str, *, epoch: int, tag: int, number: int) -> tuple[bytes, str]:
+    """Return the bytes, as if from a sender that is known, and the reason for which they are dropped."""
+    values, reason = ODD[name]
+    header = {"epoch": epoch, "destination_tag": tag, "packet_number": number}
+    data = bytes(UdpMesh(**{**header, **values}))
+    return (data[:20] if name == "a header cut short" else data), reason

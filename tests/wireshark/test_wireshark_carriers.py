@@ -10,7 +10,7 @@ from scapy.packet import Packet, Raw
 
 from netlab.scapy_layers.flood import Flood
 from netlab.scapy_layers.udp_mesh import Data, EthernetCarrier, Hello, Ping, UdpMesh
-from tests.wireshark.conftest import Tape, Tshark, datagram
+from tests.wireshark.tshark_rig import Tape, Tshark, datagram
 from udp_mesh.core import cobs, wire
 from udp_mesh.core.seal import Seal
 from udp_mesh.core.wire_runs import encode_run

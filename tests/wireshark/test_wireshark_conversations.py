@@ -5,8 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
+from netlab.capture.pcapng import INBOUND, OUTBOUND
 from netlab.scapy_layers.udp_mesh import Ack, AckRange, Data, Floor, Hello, Ping, Probe, UdpMesh
-from tests.wireshark.conftest import EPOCHS, INBOUND, OUTBOUND, T0_NS, Row, Tape, Tshark, datagram
+from tests.wireshark.tshark_rig import EPOCHS, T0_NS, Row, Tape, Tshark, datagram
 from udp_mesh.core.envelope import DurableId, Envelope, encode
 
 RETRANSMISSION = ["udp_mesh.retransmission", "udp_mesh.retransmission_of"]

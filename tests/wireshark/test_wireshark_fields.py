@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from tests.scapy_layers.odd_frames import damaged, random_datagram
-from tests.wireshark.conftest import Row, Tape, Tshark
+from tests.wireshark.tshark_rig import Row, Tape, Tshark
 from udp_mesh.core import wire
 from udp_mesh.core.packets import BadDatagram, Dissection
 

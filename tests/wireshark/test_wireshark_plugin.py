@@ -13,7 +13,7 @@ from netlab.cli.wireshark import wireshark
 from netlab.errors import MachineError
 from netlab.scapy_layers.udp_mesh import Ping
 from netlab.wireshark import plugin
-from tests.wireshark.conftest import Tape, Tshark, datagram
+from tests.wireshark.tshark_rig import Tape, Tshark, datagram
 
 FILES = {path.name for path in plugin.dissectors()}
 
