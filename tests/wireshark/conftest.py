@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from netlab.capture.pcapng import PcapngWriter
-from tests.wireshark.tshark_rig import Tape, Tshark
+from tests.wireshark.tshark_rig import Tape, Tshark, installed_tshark
 
 
 @pytest.fixture(scope="session")
 def tshark(tmp_path_factory: pytest.TempPathFactory) -> Tshark:
     """The tool; where it is missing the tests are skipped, loudly."""
-    program = shutil.which("tshark")
-    if program is None:
-        pytest.skip("tshark is not installed; it judges the dissectors. To run this: sudo apt-get install tshark")
-    found = Tshark(program, tmp_path_factory.mktemp("home"))
-    subprocess.run([sys.executable, "-m", "netlab", "wireshark", "install"], env=found.env, check=True)
-    return found
+    return installed_tshark(tmp_path_factory.mktemp("home"))
 
 
 @pytest.fixture

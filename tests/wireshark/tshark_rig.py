@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
 from scapy.layers.inet import IP, UDP
 from scapy.layers.l2 import Ether
 from scapy.packet import Packet
@@ -60,6 +63,16 @@ class Tshark:
         lines = self(file, *words, "-2", "-q", "-Y", "frame", "-z", "expert").splitlines()
         parts = [line.split(None, 3) for line in lines]
         return {part[3]: int(part[0]) for part in parts if len(part) == 4 and part[0].isdigit()}
+
+
+def installed_tshark(home: Path) -> Tshark:
+    """tshark of a user with this home, the dissectors installed; without tshark the test is skipped, loudly."""
+    program = shutil.which("tshark")
+    if program is None:
+        pytest.skip("tshark is not installed; it judges the dissectors. To run this: sudo apt-get install tshark")
+    found = Tshark(program, home)
+    subprocess.run([sys.executable, "-m", "netlab", "wireshark", "install"], env=found.env, check=True)
+    return found
 
 
 @dataclass(slots=True)

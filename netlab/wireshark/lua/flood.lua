@@ -1,7 +1,7 @@
 -- Wireshark dissector of netlab's flood (`mesh: flood`, netlab/flood/wire.py): header and the Ethernet frame inside.
 --
--- Others may use the same EtherType, which is for local experiments. So whoever comes later hands what is not its own to
--- whoever was there before.
+-- Others may use the same EtherType, which is for local experiments. So whoever comes later hands on what is not its own
+-- to whoever was there before.
 
 local ETHERTYPE, VERSION, HEADER_BYTES, ETHERNET_BYTES = 0x88B5, 1, 18, 14
 
@@ -10,7 +10,8 @@ local f = flood.fields
 f.version = ProtoField.uint8("netlab_flood.version", "Version")
 f.hop_limit = ProtoField.uint8("netlab_flood.hop_limit", "Hop limit")
 f.check = ProtoField.uint16("netlab_flood.check", "Check (CRC-16/CCITT)", base.HEX)
-f.length = ProtoField.uint16("netlab_flood.length", "Length of the frame inside", base.UNIT_STRING, { " byte", " bytes" })
+f.length = ProtoField.uint16("netlab_flood.length", "Length of the frame inside", base.UNIT_STRING,
+    { " byte", " bytes" })
 f.originator = ProtoField.ether("netlab_flood.originator", "Originator")
 f.epoch = ProtoField.uint16("netlab_flood.epoch", "Epoch", base.HEX)
 f.sequence = ProtoField.uint32("netlab_flood.sequence", "Sequence number")

@@ -1,5 +1,5 @@
--- What netlab's traffic processes put first into every payload (netlab/lab/traffic.py): publication, sequence number and
--- the time of the publish call. Transports call it by its name, netlab_traffic, with a whole message.
+-- What netlab's traffic processes put first into every payload (netlab/lab/traffic.py): publication, sequence number
+-- and the time of the publish call. Transports call it by its name, netlab_traffic, with a whole message.
 
 local HEADER_BYTES = 18
 

@@ -1,4 +1,4 @@
--- What datagrams have to do with each other: repeated, acknowledged, answered, overtaken. Without anything of Wireshark.
+-- What datagrams have to do with each other: repeated, acknowledged, answered, overtaken. Nothing of Wireshark here.
 --
 -- Told each sound datagram once, in the order of the capture, it keeps what is to be shown with it. Much is known only
 -- later (acknowledged in frame N), so it shows in a second pass.
@@ -174,7 +174,7 @@ function Conversations:_fragment(packet, frame, sight, grace_s, epoch_s)
     return note
 end
 
--- A message of netlab's traffic says when it was published: so long has it waited, and not only since it began to leave.
+-- A message of netlab's traffic says when it was published: since then it has waited, not only since it began to leave.
 function Conversations:_published(passage, frame, sight, epoch_s)
     local payload = frame.payload
     if frame.has_envelope then

@@ -55,7 +55,7 @@ end
 function carrier.dissector(tvb, pinfo, tree)
     pinfo.cols.protocol = "udp_mesh_serial"
     local item = tree:add(carrier, tvb())
-    local bytes = unstuffed((tvb:raw():gsub("%z$", "")))
+    local bytes = unstuffed((tvb:raw():gsub("\0$", "")))
     if not bytes or #bytes < MIN_BYTES then
         item:add_proto_expert_info(carrier.experts.stuffing)
         return tvb:len()

@@ -1,7 +1,7 @@
 -- udp_mesh datagrams as Lua tables: a pure reader of bytes, without anything of Wireshark (docs/wire.md).
 --
--- It refuses what udp_mesh/core/wire.py refuses and calls the reasons by the same names, so that a dissection tells what
--- a daemon would have counted. Offsets are from 0 and from the beginning of the datagram. 48-bit numbers are Lua
+-- It refuses what udp_mesh/core/wire.py refuses and calls the reasons by the same names, so that a dissection tells
+-- what a daemon would have counted. Offsets are from 0 and from the beginning of the datagram. 48-bit numbers are Lua
 -- numbers, which hold them exactly; 64-bit numbers are strings of 8 bytes.
 
 local wire = {}
@@ -139,7 +139,7 @@ readers[wire.HELLO] = function(bytes, at)
     frame.name = bytes:sub(frame.name_at + 1, at + frame.size)
     -- The daemon refuses all that Unicode does not call printable; this refuses control characters.
     if name_bytes == 0 or name_bytes > MAX_NAME_BYTES or not is_utf8(frame.name)
-        or frame.name:find("[%z\1-\31\127]") or frame.name:find("\194[\128-\159]") then
+        or frame.name:find("[\0-\31\127]") or frame.name:find("\194[\128-\159]") then
         return nil, "impossible_value"
     end
     return frame
@@ -278,7 +278,7 @@ function wire.read_envelope(payload)
     return at <= #payload and envelope or nil
 end
 
--- Returns when a message of netlab's traffic was published, as seconds and nanoseconds of CLOCK_REALTIME; nil of others.
+-- Returns when a message of netlab's traffic was published: seconds and nanoseconds of CLOCK_REALTIME; nil of others.
 function wire.published(payload)
     if payload:sub(1, 4) ~= "NLT1" or #payload < TRAFFIC_BYTES then
         return nil
