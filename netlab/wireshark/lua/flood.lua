@@ -1,7 +1,7 @@
 -- Wireshark dissector of netlab's flood (`mesh: flood`, netlab/flood/wire.py): header and the Ethernet frame inside.
 --
--- Others may use the same EtherType, which is for local experiments. So whoever comes later hands on what is not its own
--- to whoever was there before.
+-- Others may use the same EtherType, which is for local experiments. So whoever comes later hands on what is not its
+-- own to whoever was there before.
 
 local ETHERTYPE, VERSION, HEADER_BYTES, ETHERNET_BYTES = 0x88B5, 1, 18, 14
 

@@ -1,8 +1,8 @@
 -- udp_mesh over raw Ethernet (docs/wire.md, Carriers): two bytes of length before the datagram, because short frames
 -- are padded.
 --
--- Others may use the same EtherType, which is for local experiments. So whoever comes later hands on what is not its own
--- to whoever was there before.
+-- Others may use the same EtherType, which is for local experiments. So whoever comes later hands on what is not its
+-- own to whoever was there before.
 
 local wire = require "udp_mesh_wire"
 
