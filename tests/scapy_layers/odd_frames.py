@@ -21,7 +21,15 @@ from netlab.scapy_layers.udp_mesh import (
     UdpMesh,
 )
 
-TOPICS = ["t", "telemetry", "map/3", "größe", "雪", "x" * 255]
+TOPICS = [
+    "t",
+    "telemetry",
+    "map/3",
+    "größe",
+    "雪",
+    "x" * 255,
+    "\x7f\x80\u07ff\u0800\ud7ff\ue000\uffff\U00010000\U0010ffff",
+]
 EPOCHS = [0x11_0000_0007, 0x22_0000_0008, 0xFFFF_FFFF_FFFF_FFFF]
 
 
@@ -122,6 +130,13 @@ ODD: dict[str, tuple[dict[str, Any], str]] = {
         "impossible_value",
     ),
     "a topic that is no text": ({"frames": [Data(topic=b"\xff\xfe")]}, "impossible_value"),
+    "a letter cut short": ({"frames": [Data(topic=b"\xe2\x82")]}, "impossible_value"),
+    "a letter that goes on wrong": ({"frames": [Data(topic=b"\xe2\x82\xc0")]}, "impossible_value"),
+    "two bytes where one would do": ({"frames": [Data(topic=b"\xc1\xbf")]}, "impossible_value"),
+    "three bytes where two would do": ({"frames": [Data(topic=b"\xe0\x9f\xbf")]}, "impossible_value"),
+    "four bytes where three would do": ({"frames": [Data(topic=b"\xf0\x8f\xbf\xbf")]}, "impossible_value"),
+    "half a pair of UTF-16": ({"frames": [Data(topic=b"\xed\xa0\x80")]}, "impossible_value"),
+    "a letter beyond Unicode": ({"frames": [Data(topic=b"\xf4\x90\x80\x80")]}, "impossible_value"),
     "a length beyond the datagram": ({"frames": [Data(topic=b"t", length=900)]}, "truncated"),
     "a length of which the rest is no frame": (
         {"frames": [Data(topic=b"t", length=2, data=b"\xee\xee")]},

@@ -105,6 +105,9 @@ def test_what_the_medium_did_and_what_the_nodes_know_fit_together(run: Run, tsha
     names = ["udp_mesh.transit_time", "udp_mesh.first_seen_in"]
     numbered = f"udp_mesh.packet_number != {MAX_NUMBER} && {RECEIVED}"  # introductions are all alike
     received = tshark.rows(run.pcapng, *names, where=numbered)
-    assert all(float(row["udp_mesh.transit_time"][0]) >= 0.003 for row in received)
-    assert len({row["udp_mesh.first_seen_in"][0] for row in received}) == len(received)
-    assert 0.95 * (len(sent) - len(lost)) < len(received) <= len(sent) - len(lost)
+    followed = [row for row in received if row["udp_mesh.first_seen_in"]]
+    assert all(float(row["udp_mesh.transit_time"][0]) >= 0.003 for row in followed)
+    assert len({row["udp_mesh.first_seen_in"][0] for row in followed}) == len(followed)
+    # At the very end some are under way, and one node is recorded a moment longer than the other.
+    assert 0.95 * (len(sent) - len(lost)) < len(followed) <= len(sent) - len(lost)
+    assert len(followed) > 0.98 * len(received)

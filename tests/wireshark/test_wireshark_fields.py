@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from tests.scapy_layers.odd_frames import damaged, random_datagram
+from tests.scapy_layers.odd_frames import ODD, damaged, odd_datagram, random_datagram
 from tests.wireshark.tshark_rig import Row, Tape, Tshark
 from udp_mesh.core import wire
 from udp_mesh.core.packets import BadDatagram, Dissection
@@ -98,6 +98,16 @@ def test_whatever_arrives_is_told_as_the_daemon_understands_it(tshark: Tshark, t
             assert_same(row, packet)
     reasons = {reason for data in datagrams for reason in expected_fault(data)}
     assert reasons == {"unknown_version", "unknown_flags", "truncated", "unknown_frame", "impossible_value"}
+
+
+def test_odd_datagrams_are_named_as_the_daemon_names_them(tshark: Tshark, tape: Tape) -> None:
+    odd = {name: odd_datagram(name, epoch=7, tag=9, number=at) for at, name in enumerate(ODD)}
+    odd = {name: (data, reason) for name, (data, reason) in odd.items() if reason not in ("foreign", "sealed")}
+    for data, _reason in odd.values():
+        tape.add(data)
+    rows = tshark.rows(tape.path, "udp_mesh.bad")
+    told = {name: row["udp_mesh.bad"] for name, row in zip(odd, rows, strict=True)}
+    assert told == {name: [reason] for name, (_data, reason) in odd.items()}
 
 
 def test_no_bytes_upset_the_dissectors(tshark: Tshark, tape: Tape) -> None:

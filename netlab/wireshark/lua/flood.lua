@@ -3,6 +3,8 @@
 -- Others may use the same EtherType, which is for local experiments. So whoever comes later hands on what is not its
 -- own to whoever was there before.
 
+local checksums = require "checksums"
+
 local ETHERTYPE, VERSION, HEADER_BYTES, ETHERNET_BYTES = 0x88B5, 1, 18, 14
 
 local flood = Proto("netlab_flood", "netlab flood")
@@ -23,32 +25,12 @@ flood.experts.length = ProtoExpert.new("netlab_flood.expert.length", "Impossible
 local types = DissectorTable.get("ethertype")
 local former = types:get_dissector(ETHERTYPE)
 
-local function toggled(value, bit)
-    return math.floor(value / bit) % 2 == 1 and value - bit or value + bit
-end
-
--- CRC-16/CCITT, polynomial 0x1021, from 0: bit by bit, because no operator for bits is the same in all versions of Lua.
-local function crc16(bytes)
-    local crc = 0
-    for position = 1, #bytes do
-        local byte = bytes:byte(position)
-        for shift = 7, 0, -1 do
-            local is_feedback = (crc >= 0x8000) ~= (math.floor(byte / 2 ^ shift) % 2 == 1)
-            crc = crc * 2 % 0x10000
-            if is_feedback then
-                crc = toggled(toggled(toggled(crc, 0x1000), 0x20), 0x01)
-            end
-        end
-    end
-    return crc
-end
-
 -- A damaged header is still the flood's, unless it has the mark of udp_mesh, which shares the EtherType.
 local function is_own(bytes)
     if #bytes < HEADER_BYTES or bytes:byte(1) ~= VERSION then
         return false
     end
-    return bytes:sub(3, 4) ~= "uM" or crc16(bytes:sub(5, HEADER_BYTES)) == bytes:byte(3) * 256 + bytes:byte(4)
+    return bytes:sub(3, 4) ~= "uM" or checksums.crc16(bytes:sub(5, HEADER_BYTES)) == bytes:byte(3) * 256 + bytes:byte(4)
 end
 
 function flood.dissector(tvb, pinfo, tree)
@@ -69,7 +51,7 @@ function flood.dissector(tvb, pinfo, tree)
     pinfo.cols.info = text
     item:append_text(", " .. text)
     local length, room = tvb(4, 2):uint(), tvb:len() - HEADER_BYTES
-    if crc16(bytes:sub(5, HEADER_BYTES)) ~= tvb(2, 2):uint() then
+    if checksums.crc16(bytes:sub(5, HEADER_BYTES)) ~= tvb(2, 2):uint() then
         check:add_proto_expert_info(flood.experts.check)
     elseif length < ETHERNET_BYTES or length > room then
         length_item:add_proto_expert_info(flood.experts.length)

@@ -49,7 +49,7 @@ local function sight_of(key, pinfo)
         key = key,
         frame = pinfo.number,
         t_s = (time.secs - base_s) + time.nsecs / 1e9,
-        place = (interface and interface.value or 0) .. "/" .. #sources,
+        place = interface and interface.value or 0,
         sender = way .. "/" .. table.concat(sources, "/"),
         address = tostring(pinfo.net_dst),
         is_inbound = way == INBOUND,

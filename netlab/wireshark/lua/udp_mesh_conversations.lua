@@ -3,10 +3,10 @@
 -- Told each sound datagram once, in the order of the capture, it keeps what is to be shown with it. Much is known only
 -- later (acknowledged in frame N), so it shows in a second pass.
 --
--- A *place* is an interface, and for frames that travel inside others (a mesh's) how deep they do. A *view* is a place
--- with one direction and one link-layer sender: there a sender's datagrams pass once, so the same one again is a
--- duplicate, and the same fragment in another one a retransmission. Answers are matched at one place, so that their
--- times are those of whoever captured there.
+-- A *place* is an interface. A *view* is a place with one direction and one link-layer sender (of frames that travel
+-- inside others all senders count): there a sender's datagrams pass once, so the same one again is a duplicate, and the
+-- same fragment in another one a retransmission. Answers are matched at one place, so that their times are those of
+-- whoever captured there.
 
 local wire = require "udp_mesh_wire"
 

@@ -4,6 +4,8 @@
 -- A serial line has no link type of its own: tell Wireshark which of the user's (DLT_USER) it is, as docs/wireshark.md
 -- says.
 
+local checksums = require "checksums"
+
 local carrier = Proto("udp_mesh_serial", "udp_mesh on a serial line")
 local f = carrier.fields
 f.target = ProtoField.uint16("udp_mesh_serial.target", "Target", base.HEX)
@@ -16,24 +18,6 @@ carrier.experts.crc = ProtoExpert.new("udp_mesh_serial.expert.crc", "Damaged: wr
 
 local MIN_BYTES = 8 -- target, source, CRC
 local LONGEST_BLOCK = 254
-local bxor = bit and bit.bxor or bit32 and bit32.bxor or load("return function(a, b) return a ~ b end")()
-
-local crc_of_byte = {}
-for byte = 0, 255 do
-    local crc = byte
-    for _ = 1, 8 do
-        crc = crc % 2 == 1 and bxor(math.floor(crc / 2), 0xEDB88320) % 2 ^ 32 or math.floor(crc / 2)
-    end
-    crc_of_byte[byte] = crc
-end
-
-local function crc32(bytes)
-    local crc = 0xFFFFFFFF
-    for position = 1, #bytes do
-        crc = bxor(math.floor(crc / 256), crc_of_byte[bxor(crc % 256, bytes:byte(position)) % 256]) % 2 ^ 32
-    end
-    return 0xFFFFFFFF - crc
-end
 
 -- Undoes the stuffing; nil if this is no frame.
 local function unstuffed(frame)
@@ -64,7 +48,7 @@ function carrier.dissector(tvb, pinfo, tree)
     item:add(f.target, line(0, 2))
     item:add(f.source, line(2, 2))
     local crc_item = item:add(f.crc, line(#bytes - 4, 4))
-    if crc32(bytes:sub(1, -5)) ~= line(#bytes - 4, 4):uint() then
+    if checksums.crc32(bytes:sub(1, -5)) ~= line(#bytes - 4, 4):uint() then
         crc_item:add_proto_expert_info(carrier.experts.crc)
     elseif #bytes > MIN_BYTES then
         Dissector.get("udp_mesh"):call(line(4, #bytes - MIN_BYTES):tvb(), pinfo, tree)
