@@ -3,6 +3,8 @@
 Other protocols share its EtherType: name :class:`Flood` where a frame is dissected.
 """
 
+# ruff: noqa: RUF012 - scapy wants the fields of a layer as a plain list in its class
+
 from __future__ import annotations
 
 from binascii import crc_hqx

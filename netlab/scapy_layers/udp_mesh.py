@@ -6,6 +6,8 @@ On UDP port 8700 scapy finds the layer by itself. Other protocols share the Ethe
 :class:`EthernetCarrier` there.
 """
 
+# ruff: noqa: RUF012 - scapy wants the fields of a layer as a plain list in its class
+
 from __future__ import annotations
 
 from scapy.base_classes import BasePacket
