@@ -90,7 +90,7 @@ class Dropped:
 @dataclass(slots=True)
 class DaemonLog:
     """All of it. ``queued`` is by node, in the order of time; ``delivered`` by receiver, source and id on the wire;
-    ``copied``: when a fragment left once more for ``redundancy``, by node, peer, packet number, id on the wire and index.
+    ``copied``: when a fragment left once more for ``redundancy``, by node, peer, packet number, wire id and index.
     """
 
     queued: dict[str, list[QueuedMessage]] = field(default_factory=lambda: defaultdict(list))
@@ -116,8 +116,8 @@ class DaemonLog:
                 meeting = Meeting(t_ns, change == "peer_up", _number(event, "epoch"), _text(event, "reason"))
                 self.meetings[node, _text(event, "peer")].append(meeting)
             case "fragment_copied":
-                numbers = (_number(event, key) for key in ("packet_number", "message_id", "fragment_index"))
-                self.copied[node, _text(event, "peer"), *numbers].append(t_ns)
+                number, index = _number(event, "packet_number"), _number(event, "fragment_index")
+                self.copied[node, _text(event, "peer"), number, _number(event, "message_id"), index].append(t_ns)
             case "message_stored":
                 key_of_store = (node, _text(event, "peer"), _text(event, "topic"), _number(event, "size_bytes"))
                 self._stored[key_of_store].append(t_ns)

@@ -1,0 +1,209 @@
+"""Divides the time of one message into parts with causes: the reasoning behind :class:`netlab.traces.story.Story`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from netlab.medium.verdicts import Verdict
+from netlab.traces.absences import absences
+from netlab.traces.carriage import Carriage, carriage
+from netlab.traces.causes import Cause, Stretch, merged, painted
+from netlab.traces.daemon_log import QueuedMessage
+from netlab.traces.evidence import Departure, Evidence
+from netlab.traces.model import Published, Stream, Trace
+from netlab.traces.transit import transit
+from netlab.traces.waiting import Sender
+
+_STAMP_SLACK_NS = 1_000_000
+_MISSING = {
+    Verdict.OUTAGE: Cause.OUTAGE,
+    Verdict.OUT_OF_RANGE: Cause.OUT_OF_RANGE,
+    Verdict.QUEUE_FULL: Cause.QUEUE_FULL,
+}
+_HOW = {
+    Verdict.LOST: "was lost",
+    Verdict.COLLISION: "was drowned by another transmission",
+    Verdict.CORRUPTED: "was corrupted",
+    Verdict.OUTAGE: "left into an outage",
+    Verdict.OUT_OF_RANGE: "left out of range",
+    Verdict.QUEUE_FULL: "found the queue full",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A fragment that left once, and its way. ``counts`` as in :class:`netlab.traces.story.Transmission`."""
+
+    departure: Departure
+    carried: Carriage
+    counts: bool
+
+    @property
+    def arrived_ns(self) -> int | None:
+        """Arrival at the destination, if it counts."""
+        return self.carried.arrived_ns if self.counts else None
+
+
+class Account:
+    """All that is known of one message from its publication to its end, fragment by fragment.
+
+    Args:
+        message: What it was in its sender's queue.
+        end_ns: Receipt by the application, or when it was given up, or the end of the capture.
+
+    Attributes:
+        attempts: By fragment, in the order of time.
+    """
+
+    def __init__(
+        self,
+        trace: Trace,
+        evidence: Evidence,
+        stream: Stream,
+        published: Published,
+        message: QueuedMessage,
+        *,
+        end_ns: int,
+    ) -> None:
+        self._trace, self._evidence, self._stream = trace, evidence, stream
+        self._published, self._message, self._end_ns = published, message, end_ns
+        meetings = trace.daemons.meetings.get((stream.source, stream.destination), [])
+        tags = {meeting.epoch & 0xFFFFFFFF for meeting in meetings}
+        self.lane = Sender(trace, evidence, message, tags)
+        self._away = absences(trace, stream.source, stream.destination)
+        self.attempts: dict[int, list[Attempt]] = {}
+        self._follow(tags | {0})
+
+    def _follow(self, tags: set[int]) -> None:
+        message = self._message
+        mine = [
+            departure
+            for departure in self._evidence.departures
+            if departure.message_id in message.ids_on_wire
+            and departure.destination_tag in tags
+            and message.queued_ns - _STAMP_SLACK_NS <= departure.t_ns <= self._end_ns
+        ]
+        last_tag = mine[-1].destination_tag if mine else 0
+        for departure in mine:
+            carried = carriage(
+                self._trace, self._evidence, departure.packet, self._stream.destination, left_ns=departure.t_ns
+            )
+            counts = (departure.destination_tag, departure.message_id) == (last_tag, message.last_id_on_wire)
+            self.attempts.setdefault(departure.index, []).append(Attempt(departure, carried, counts))
+
+    def arrived_ns(self, index: int) -> int | None:
+        """First arrival of a fragment that counts."""
+        times = (attempt.arrived_ns for attempt in self.attempts.get(index, []))
+        return min((t for t in times if t is not None and t <= self._end_ns), default=None)
+
+    def critical(self) -> int | None:
+        """The fragment that arrived last, or the first that did not arrive; None if no fragment left."""
+        if not self.attempts:
+            return None
+        arrivals = {index: self.arrived_ns(index) for index in range(self._message.fragment_count)}
+        missing = [index for index, t_ns in arrivals.items() if t_ns is None]
+        if missing:
+            return missing[0]
+        return max(arrivals, key=lambda index: (arrivals[index] or 0, index))
+
+    def bringing(self, index: int | None) -> Attempt | None:
+        """The attempt with which a fragment arrived first."""
+        arrived_ns = None if index is None else self.arrived_ns(index)
+        if index is None or arrived_ns is None:
+            return None
+        return next(attempt for attempt in self.attempts[index] if attempt.arrived_ns == arrived_ns)
+
+    def stretches(self) -> list[Stretch]:
+        """The whole time from the publish call to the end, divided by cause."""
+        index = self.critical()
+        tries = self.attempts.get(index, []) if index is not None else []
+        brought = self.bringing(index)
+        waits = [*self._before_queue(), *self._held(tries[0].departure.t_ns if tries else self._end_ns)]
+        for attempt, following in pairwise([*tries, None]):
+            if attempt is not None and attempt is not brought:
+                waits.append(self._failed(attempt, following))
+            else:
+                break
+        waits = painted(_over(waits, Cause.PACING, self.lane.yielding()), self._away)
+        return merged(_clipped([*waits, *self._arrival(brought)], self._published.t_ns, self._end_ns))
+
+    def _arrival(self, brought: Attempt | None) -> list[Stretch]:
+        if brought is None or brought.arrived_ns is None:
+            return []
+        way = transit(self._trace, self._evidence, brought.carried, brought.departure.t_ns, self.lane.named)
+        return [
+            *way,
+            Stretch(brought.arrived_ns, self._end_ns, Cause.REASSEMBLY, self._handing_over(brought.arrived_ns)),
+        ]
+
+    def _before_queue(self) -> list[Stretch]:
+        message, start_ns = self._message, self._published.t_ns
+        if message.stored_ns is None:
+            return [Stretch(start_ns, message.queued_ns, Cause.HANDOVER, f"to the daemon of {self._stream.source}")]
+        return [
+            Stretch(start_ns, message.stored_ns, Cause.HANDOVER, f"into the store of {self._stream.source}"),
+            Stretch(message.stored_ns, message.queued_ns, Cause.QUEUE, "in the store"),
+        ]
+
+    def _held(self, left_ns: int) -> list[Stretch]:
+        message, start_ns = self._message, self._message.queued_ns
+        if not message.held:
+            return self.lane.wait(start_ns, left_ns)
+        end_ns = min(message.released_ns or left_ns, left_ns)
+        words = f"the rate limit of {message.topic} held it back until {self._trace.seconds(end_ns):.3f} s"
+        return [Stretch(start_ns, end_ns, Cause.RATE_LIMIT, words), *self.lane.wait(end_ns, left_ns)]
+
+    def _failed(self, attempt: Attempt, following: Attempt | None) -> Stretch:
+        departure = attempt.departure
+        end_ns = self._end_ns if following is None else following.departure.t_ns
+        which = f"fragment {departure.index + 1}/{departure.count} left at {self._trace.seconds(departure.t_ns):.3f} s"
+        after = "" if following is None else f"; it left again at {self._trace.seconds(end_ns):.3f} s"
+        cause, how = self._failure(attempt)
+        return Stretch(departure.t_ns, end_ns, cause, f"{which} {how}{after}")
+
+    def _failure(self, attempt: Attempt) -> tuple[Cause, str]:
+        destination, t_ns = self._stream.destination, attempt.departure.t_ns
+        if not attempt.counts:
+            return Cause.RESTART, f"for a daemon of {destination} that has forgotten it"
+        if attempt.carried.arrived_ns is not None:  # after the account's end
+            return Cause.UNEXPLAINED, "and had not arrived by then"
+        hop = attempt.carried.hops[-1] if attempt.carried.hops else None
+        cause, how = Cause.LOSS, "did not arrive"
+        if hop is not None and hop.verdict is not None:
+            cause, how = _MISSING.get(hop.verdict, Cause.LOSS), _HOW.get(hop.verdict, how)
+        if any(stretch.from_ns <= t_ns < stretch.to_ns for stretch in self._away):
+            cause = Cause.RECONNECT  # what is left of this wait when the path is back: its sender has yet to try again
+        where = f" on {'/'.join(hop.sender)} > {'/'.join(hop.receiver)}" if hop is not None else ""
+        return cause, f"and {how}{where}"
+
+    def _handing_over(self, arrived_ns: int) -> str:
+        destination = self._stream.destination
+        whole_ns = self._trace.daemons.delivered_at(
+            destination, self._stream.source, self._message.last_id_on_wire, from_ns=arrived_ns - 1_000_000
+        )
+        if whole_ns is None or whole_ns > self._end_ns:
+            return f"inside {destination}"
+        return f"inside {destination}: put together at {self._trace.seconds(whole_ns):.6f} s, then to the application"
+
+
+def _over(base: list[Stretch], cause: Cause, over: list[Stretch]) -> list[Stretch]:
+    """Lay stretches over those of one cause."""
+    out: list[Stretch] = []
+    for stretch in base:
+        out += painted([stretch], over) if stretch.cause is cause else [stretch]
+    return out
+
+
+def _clipped(stretches: list[Stretch], start_ns: int, end_ns: int) -> list[Stretch]:
+    """Make the stretches cover a time exactly: clock stamps of different processes may cross by microseconds."""
+    out: list[Stretch] = []
+    at_ns = start_ns
+    for stretch in stretches:
+        until_ns = min(max(stretch.to_ns, at_ns), end_ns)
+        if stretch.from_ns > at_ns:
+            out.append(Stretch(at_ns, min(stretch.from_ns, end_ns), Cause.UNEXPLAINED))
+            at_ns = min(stretch.from_ns, end_ns)
+        out.append(replace(stretch, from_ns=at_ns, to_ns=until_ns))
+        at_ns = until_ns
+    return [*out, Stretch(at_ns, end_ns, Cause.UNEXPLAINED)]

@@ -1,0 +1,148 @@
+"""What a message waited for inside its sender: who left before it, its own pace, its topic's limit, others' backlogs.
+
+The time until a packet leaves belongs to that packet: while it was first in the queue, everything behind it waited for
+its turn too. So the wait of a message is divided at the departures to the same destination: what ends with another
+message's packet was spent behind that message; what ends with its own, on window and pace.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+from netlab.traces.causes import Cause, Stretch
+from netlab.traces.daemon_log import QueuedMessage
+from netlab.traces.evidence import Departure, Evidence
+from netlab.traces.model import Trace
+
+_BACKLOG_HOLDS_NS = 250_000_000  # udp_mesh.core.coordination.HOLD_S
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """A message that went before, with what left of it meanwhile. ``seq`` is None if nothing tells."""
+
+    topic: str
+    priority: int
+    message_id: int
+    seq: int | None
+    fragments: int
+    payload_bytes: int
+
+    def __str__(self) -> str:
+        """Name it for a person."""
+        name = f"{self.topic} #{self.seq}" if self.seq is not None else f"{self.topic or 'message'} m{self.message_id}"
+        return f"{name} ({size_text(self.payload_bytes)})"
+
+
+def size_text(size_bytes: int) -> str:
+    """A size for a person."""
+    return f"{size_bytes / 1000:.1f} kB" if size_bytes >= 1000 else f"{size_bytes} B"
+
+
+class Sender:
+    """The sender of one message as its packets and its daemon show it.
+
+    Args:
+        own_ids: The message's ids on the wire.
+        tags: Low halves of the epochs that its destination had.
+    """
+
+    def __init__(self, trace: Trace, evidence: Evidence, message: QueuedMessage, tags: set[int]) -> None:
+        self._trace, self._evidence, self._message = trace, evidence, message
+        self._own_ids = message.ids_on_wire
+        self._lane = [d for d in evidence.departures if d.destination_tag in tags or d.destination_tag == 0]
+        self._seqs = {(d.packet[0], d.message_id): d.traffic for d in evidence.departures if d.traffic is not None}
+        self._queued = trace.daemons.queued.get(message.node, [])
+
+    def wait(self, from_ns: int, to_ns: int) -> list[Stretch]:
+        """Divide the time in which a fragment of the message waited to leave, up to its departure."""
+        out: list[Stretch] = []
+        start_ns = from_ns
+        first_own_ns = min((d.t_ns for d in self._lane if d.message_id in self._own_ids), default=to_ns)
+        for t_ns, pieces in groupby(self._between(from_ns, to_ns), key=lambda d: d.t_ns):
+            cause, words = self._turn(list(pieces), is_first=t_ns <= first_own_ns)
+            out.append(Stretch(start_ns, t_ns, cause, words))
+            start_ns = t_ns
+        out.append(Stretch(start_ns, to_ns, Cause.PACING, self.pacing_words(to_ns)))
+        return out
+
+    def ahead(self, from_ns: int, to_ns: int) -> tuple[Ahead, ...]:
+        """The other messages of which packets left in (from, to], the one with the most bytes first."""
+        return self.named(d for d in self._between(from_ns, to_ns + 1) if d.message_id not in self._own_ids)
+
+    def named(self, departures: Iterable[Departure]) -> tuple[Ahead, ...]:
+        """Sum up departures by message, the one with the most bytes first."""
+        fragments: Counter[tuple[int, int]] = Counter()
+        sizes: Counter[tuple[int, int]] = Counter()
+        about: dict[tuple[int, int], Departure] = {}
+        for departure in departures:
+            key = (departure.packet[0], departure.message_id)
+            fragments[key] += 1
+            sizes[key] += departure.payload_bytes
+            about[key] = departure
+        return tuple(self._ahead(about[key], fragments[key], size) for key, size in sizes.most_common())
+
+    def yielding(self) -> list[Stretch]:
+        """When other nodes' more urgent backlogs held this message back, as far as the sender heard them."""
+        names = self._trace.daemons.epochs()
+        return [
+            Stretch(
+                heard.t_ns,
+                heard.t_ns + _BACKLOG_HOLDS_NS,
+                Cause.YIELDING,
+                f"{names.get(heard.from_epoch, 'another node')} had something of priority {heard.priority} waiting",
+            )
+            for heard in self._evidence.backlogs
+            if heard.priority < self._message.priority
+        ]
+
+    def pacing_words(self, t_ns: int) -> str:
+        """What the daemon last said of its window before then."""
+        windows = self._trace.windows.get((self._message.node, self._message.peer), [])
+        index = bisect_right(windows, t_ns, key=lambda window: window.t_ns)
+        if not index:
+            return "for window or pace"
+        window = windows[index - 1]
+        told = f"{size_text(int(window.in_flight_bytes))} of {size_text(int(window.cwnd_bytes))} in flight"
+        return f"for window or pace ({told} at {self._trace.seconds(window.t_ns):.3f} s)"
+
+    def _between(self, from_ns: int, to_ns: int) -> Iterator[Departure]:
+        start = bisect_right(self._lane, from_ns, key=lambda d: d.t_ns)
+        for departure in self._lane[start:]:
+            if departure.t_ns >= to_ns:
+                return
+            yield departure
+
+    def _turn(self, pieces: list[Departure], *, is_first: bool) -> tuple[Cause, str]:
+        own = next((piece for piece in pieces if piece.message_id in self._own_ids), None)
+        if own is None:
+            return Cause.QUEUE, ""
+        return (Cause.PACING, self.pacing_words(own.t_ns)) if is_first else (Cause.SENDING, "")
+
+    def _ahead(self, departure: Departure, fragments: int, payload_bytes: int) -> Ahead:
+        told = self._seqs.get((departure.packet[0], departure.message_id))
+        topic = departure.topic or self._topic_of(departure)
+        seq = told[1] if told else None
+        return Ahead(topic, departure.priority, departure.message_id, seq, fragments, payload_bytes)
+
+    def _topic_of(self, departure: Departure) -> str:
+        index = bisect_right(self._queued, departure.t_ns, key=lambda message: message.queued_ns)
+        fitting = (m.topic for m in reversed(self._queued[:index]) if departure.message_id in m.ids_on_wire)
+        return next(fitting, "")
+
+
+def behind(ahead: Iterable[Ahead], *, most: int = 3) -> str:
+    """Say behind what something waited."""
+    named = list(ahead)
+    if not named:
+        return "behind other frames"
+    total = sum(entry.payload_bytes for entry in named)
+    text = ", ".join(map(str, named[:most]))
+    return f"behind {text}" + (f" and {len(named) - most} more, {size_text(total)} in all" if named[most:] else "")
+
+
+Naming = Callable[[Iterable[Departure]], tuple[Ahead, ...]]
