@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from netlab.medium.verdicts import Verdict
 from netlab.traces.absences import absences
-from netlab.traces.carriage import Carriage, carriage
+from netlab.traces.carriage import ARRIVED, Carriage, carriage
 from netlab.traces.causes import Cause, Stretch, merged, painted
 from netlab.traces.daemon_log import QueuedMessage
 from netlab.traces.evidence import Departure, Evidence
@@ -38,11 +38,14 @@ class Attempt:
     departure: Departure
     carried: Carriage
     counts: bool
+    acked_ns: int | None
 
     @property
     def arrived_ns(self) -> int | None:
-        """Arrival at the destination, if it counts."""
-        return self.carried.arrived_ns if self.counts else None
+        """Arrival at the destination, if it counts; where nobody saw it, when its sender heard of it."""
+        if not self.counts:
+            return None
+        return self.acked_ns if self.carried.arrived_ns is None else self.carried.arrived_ns
 
 
 class Account:
@@ -90,7 +93,9 @@ class Account:
                 self._trace, self._evidence, departure.packet, self._stream.destination, left_ns=departure.t_ns
             )
             counts = (departure.destination_tag, departure.message_id) == (last_tag, message.last_id_on_wire)
-            self.attempts.setdefault(departure.index, []).append(Attempt(departure, carried, counts))
+            tag, t_ns = departure.destination_tag, departure.t_ns
+            acked_ns = self._evidence.first_ack(departure.packet, after_ns=t_ns, from_tag=tag) if tag else None
+            self.attempts.setdefault(departure.index, []).append(Attempt(departure, carried, counts, acked_ns))
 
     def arrived_ns(self, index: int) -> int | None:
         """First arrival of a fragment that counts."""
@@ -131,11 +136,16 @@ class Account:
     def _arrival(self, brought: Attempt | None) -> list[Stretch]:
         if brought is None or brought.arrived_ns is None:
             return []
-        way = transit(self._trace, self._evidence, brought.carried, brought.departure.t_ns, self.lane.named)
-        return [
-            *way,
-            Stretch(brought.arrived_ns, self._end_ns, Cause.REASSEMBLY, self._handing_over(brought.arrived_ns)),
-        ]
+        at_ns = brought.carried.arrived_ns
+        unseen = [Stretch(brought.departure.t_ns, brought.arrived_ns, Cause.UNEXPLAINED, "nobody saw it arrive")]
+        way = (
+            unseen
+            if at_ns is None
+            else transit(self._trace, self._evidence, brought.carried, brought.departure.t_ns, self.lane.named)
+        )
+        inside = Stretch(brought.arrived_ns, self._end_ns, Cause.REASSEMBLY, self._handing_over(brought.arrived_ns))
+        died = [stretch for stretch in self._away if stretch.cause is Cause.RESTART]
+        return [*way, *painted([inside], died)]
 
     def _before_queue(self) -> list[Stretch]:
         message, start_ns = self._message, self._published.t_ns
@@ -151,7 +161,8 @@ class Account:
         if not message.held:
             return self.lane.wait(start_ns, left_ns)
         end_ns = min(message.released_ns or left_ns, left_ns)
-        words = f"the rate limit of {message.topic} held it back until {self._trace.seconds(end_ns):.3f} s"
+        until = "until" if message.released_ns is not None else "to its end at"
+        words = f"the rate limit of {message.topic} held it back {until} {self._trace.seconds(end_ns):.3f} s"
         return [Stretch(start_ns, end_ns, Cause.RATE_LIMIT, words), *self.lane.wait(end_ns, left_ns)]
 
     def _failed(self, attempt: Attempt, following: Attempt | None) -> Stretch:
@@ -170,6 +181,8 @@ class Account:
             return Cause.UNEXPLAINED, "and had not arrived by then"
         hop = attempt.carried.hops[-1] if attempt.carried.hops else None
         cause, how = Cause.LOSS, "did not arrive"
+        if hop is not None and hop.verdict in ARRIVED:
+            return Cause.UNEXPLAINED, f"and nobody saw it arrive at {'/'.join(hop.receiver)}"
         if hop is not None and hop.verdict is not None:
             cause, how = _MISSING.get(hop.verdict, Cause.LOSS), _HOW.get(hop.verdict, how)
         if any(stretch.from_ns <= t_ns < stretch.to_ns for stretch in self._away):

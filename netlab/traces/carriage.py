@@ -8,7 +8,7 @@ from netlab.medium.verdicts import Verdict
 from netlab.traces.evidence import Decision, Evidence, PacketId, Sighting
 from netlab.traces.model import Interface, Trace
 
-_ARRIVED = (Verdict.DELIVERED, Verdict.REORDERED, Verdict.DUPLICATED)
+ARRIVED = (Verdict.DELIVERED, Verdict.REORDERED, Verdict.DUPLICATED)
 _MOST_HOPS = 255
 _SAME_HANDLING_NS = 1_000_000_000  # between a frame's arrival at a relay and its departure
 
@@ -110,4 +110,4 @@ def _towards(evidence: Evidence, seen: list[Sighting], destination: str) -> tupl
     for sent in (sighting for sighting in seen if sighting.is_outbound):
         hops += [_decided(sent, decision.receiver, None, decision) for decision in evidence.decisions(sent)]
     final = [hop for hop in hops if hop.receiver[0] == destination]
-    return tuple(final or [hop for hop in hops if hop.verdict not in _ARRIVED])
+    return tuple(final or [hop for hop in hops if hop.verdict not in ARRIVED])

@@ -7,8 +7,10 @@ frames of a mesh, and change addresses at a bridge.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import defaultdict
 from dataclasses import dataclass, field
+from itertools import islice
 
 from netlab.capture.decoders import LINKTYPE_ETHERNET, mesh_of, peel, traffic_of, udp_of
 from netlab.capture.reader import Capture
@@ -118,8 +120,9 @@ class Evidence:
     def first_ack(self, packet: PacketId, *, after_ns: int, from_tag: int) -> int | None:
         """When the node first heard that a packet had arrived; None if it never did."""
         number = packet[1]
-        for ack in self.acks:
-            is_theirs = ack.t_ns >= after_ns and ack.from_epoch & 0xFFFFFFFF == from_tag
+        start = bisect_right(self.acks, after_ns, key=lambda ack: ack.t_ns)
+        for ack in islice(self.acks, start, None):
+            is_theirs = ack.from_epoch & 0xFFFFFFFF == from_tag
             if is_theirs and any(first <= number <= last for first, last in ack.ranges):
                 return ack.t_ns
         return None

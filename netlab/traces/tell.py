@@ -72,7 +72,7 @@ def story(trace: Trace, evidence: Evidence, stream: Stream, published: Published
         fate,
         reason,
         message.fragment_count,
-        tuple(_fragment(trace, evidence, message, account, index) for index in sorted(account.attempts)),
+        tuple(_fragment(trace, message, account, index) for index in sorted(account.attempts)),
         account.critical(),
         tuple(_part(trace, account, stretch) for stretch in account.stretches()),
         brought.carried.relays if brought else (),
@@ -147,27 +147,24 @@ def _part(trace: Trace, account: Account, stretch: Stretch) -> Part:
     return Part(stretch.cause, trace.seconds(stretch.from_ns), trace.seconds(stretch.to_ns), words, ahead)
 
 
-def _fragment(trace: Trace, evidence: Evidence, message: QueuedMessage, account: Account, index: int) -> FragmentStory:
+def _fragment(trace: Trace, message: QueuedMessage, account: Account, index: int) -> FragmentStory:
     tries = account.attempts[index]
     sent = tuple(
-        _transmission(trace, evidence, message, attempt, previous)
+        _transmission(trace, message, attempt, previous)
         for attempt, previous in zip(tries, [None, *tries], strict=False)
     )
     arrived = optional_seconds(account.arrived_ns(index), trace.t0_ns)
     return FragmentStory(index, tries[0].departure.payload_bytes, sent, arrived)
 
 
-def _transmission(
-    trace: Trace, evidence: Evidence, message: QueuedMessage, attempt: Attempt, previous: Attempt | None
-) -> Transmission:
+def _transmission(trace: Trace, message: QueuedMessage, attempt: Attempt, previous: Attempt | None) -> Transmission:
     departure = attempt.departure
-    acked_ns = evidence.first_ack(departure.packet, after_ns=departure.t_ns, from_tag=departure.destination_tag)
     return Transmission(
         departure.packet[1],
         _sending(trace, message, departure.t_ns, attempt, previous),
         trace.seconds(departure.t_ns),
         optional_seconds(attempt.carried.arrived_ns, trace.t0_ns),
-        optional_seconds(acked_ns, trace.t0_ns),
+        optional_seconds(attempt.acked_ns, trace.t0_ns),
         attempt.counts,
         tuple(HopStory.of(hop, trace.t0_ns) for hop in attempt.carried.hops),
         attempt.carried.relays,

@@ -12,7 +12,7 @@ from netlab.traces.model import NS_PER_S, LinkState, Trace
 from netlab.traces.waiting import Naming, behind
 
 _LOOK_BACK = 2000  # departures
-_NO_QUEUE_NS = 100_000  # less than this is the emulation's own time
+_NO_QUEUE_NS = 250_000  # less than this is the emulation's own time
 
 
 def transit(trace: Trace, evidence: Evidence, carried: Carriage, left_ns: int, naming: Naming) -> Iterator[Stretch]:
