@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 from netlab.traces.causes import Cause, Stretch
@@ -36,6 +36,11 @@ class Ahead:
         """Name it for a person."""
         name = f"{self.topic} #{self.seq}" if self.seq is not None else f"{self.topic or 'message'} m{self.message_id}"
         return f"{name} ({size_text(self.payload_bytes)})"
+
+    def with_more(self, more: Ahead) -> Ahead:
+        """Add what left of the same message at another time."""
+        size_bytes, seq = self.payload_bytes + more.payload_bytes, more.seq if self.seq is None else self.seq
+        return replace(self, seq=seq, fragments=self.fragments + more.fragments, payload_bytes=size_bytes)
 
 
 def size_text(size_bytes: int) -> str:
@@ -133,6 +138,15 @@ class Sender:
         index = bisect_right(self._queued, departure.t_ns, key=lambda message: message.queued_ns)
         fitting = (m.topic for m in reversed(self._queued[:index]) if departure.message_id in m.ids_on_wire)
         return next(fitting, "")
+
+
+def merged_ahead(ahead: Iterable[Ahead]) -> list[Ahead]:
+    """Sum up what several waits name, by message, the one with the most bytes first."""
+    found: dict[int, Ahead] = {}
+    for entry in ahead:
+        old = found.get(entry.message_id)
+        found[entry.message_id] = entry if old is None else old.with_more(entry)
+    return sorted(found.values(), key=lambda entry: -entry.payload_bytes)
 
 
 def behind(ahead: Iterable[Ahead], *, most: int = 3) -> str:
