@@ -165,7 +165,8 @@ def _summary(asked: _Request) -> None:
         return
     _notes(notes)
     if asked.form is Format.CSV:
-        click.echo("".join(csv_lines(list(told["streams"][0]) if told["streams"] else [], told["streams"])), nl=False)
+        rows = [_flat(row) for row in told["streams"]]
+        click.echo("".join(csv_lines(list(rows[0]), rows)) if rows else "", nl=False)
         return
     words = {key: metadata.get(key) for key in ("engine", "clock", "seed", "duration_s")}
     line = "  ".join(f"{key} {value}" for key, value in words.items() if value)
@@ -178,6 +179,17 @@ def _summary(asked: _Request) -> None:
             click.echo(f"  {row}")
     if text := summary_text(trace):
         click.echo(f"\n{text}")
+
+
+def _flat(row: dict[str, object]) -> dict[str, object]:
+    """Give values inside values columns of their own: ``latency_s`` of ``p50`` becomes ``latency_p50_s``."""
+    flat: dict[str, object] = {}
+    for key, value in row.items():
+        if isinstance(value, dict):
+            flat |= {f"{key.removesuffix('_s')}_{name}_s": inner for name, inner in value.items()}
+        else:
+            flat[key] = value
+    return flat
 
 
 def _why(asked: _Request, text: str) -> None:

@@ -62,9 +62,9 @@ def find_tshark() -> str:
 
 
 def _complaint(text: str) -> str:
-    """What tshark says of an expression, without its name and its warnings about the user it runs as."""
+    """What tshark says of an expression: one line, without its warnings about the user it runs as."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("Running as user")]
-    return " ".join(lines).removeprefix("tshark: ") or "tshark failed without a word"
+    return lines[0].removeprefix("tshark: ") if lines else "tshark failed without a word"
 
 
 def _picked(capture: Capture, numbers: Iterator[int]) -> Iterator[PacketRecord]:

@@ -72,7 +72,7 @@ class Conversations:
             flow.frames, flow.size_bytes = flow.frames + 1, flow.size_bytes + record.original_length
             times = self._times.setdefault(key, [record.t_ns, record.t_ns])
             times[1] = record.t_ns
-        elif record.direction is Direction.INBOUND:
+        elif record.direction is Direction.INBOUND and not record.frame[0] & _GROUP:
             came = (source, record.node, protocol)
             self._arrived[came] = self._arrived.get(came, 0) + 1
 
