@@ -24,7 +24,7 @@ from netlab.inspect.story_text import story_json, story_table, story_text
 from netlab.inspect.table import Format, Table, csv_lines
 from netlab.traces.conversations import Conversations
 from netlab.traces.drops import drops
-from netlab.traces.evidence import gather
+from netlab.traces.evidence import gather_all
 from netlab.traces.load import load_trace, read_trace
 from netlab.traces.messages import MessageLife, message_lives
 from netlab.traces.model import Trace
@@ -234,7 +234,7 @@ def _drops(asked: _Request) -> None:
         and chosen.topic in (None, entry.topic)
         and chosen.priority in (None, entry.priority)
     ]
-    _print(asked, answers.drops_table(trace, kept))
+    _print(asked, answers.drops_table(trace, kept, is_for_people=asked.form is Format.TEXT))
 
 
 def _queues(asked: _Request, at_s: float) -> None:
@@ -262,10 +262,14 @@ def _routes(asked: _Request) -> None:
     with Capture.open(asked.file) as capture:
         trace = read_trace(capture, with_packets=False)
         streams = [stream for stream in trace.streams if fits(stream, asked.chosen)]
-        found = []
-        for source in sorted({stream.source for stream in streams}):
-            evidence = gather(capture, source, start_ns=asked.start_ns(trace), end_ns=asked.end_ns(trace))
-            found += routes(trace, evidence, {stream.destination for stream in streams if stream.source == source})
+        sources = {stream.source for stream in streams}
+        start_ns, end_ns = asked.start_ns(trace), asked.end_ns(trace)
+        evidence = gather_all(capture, sources, start_ns=start_ns, end_ns=end_ns, with_verdicts=False)
+        found = [
+            route
+            for source in sorted(sources)
+            for route in routes(trace, evidence[source], {s.destination for s in streams if s.source == source})
+        ]
         _notes(capture.notes)
     _print(asked, answers.routes_table(trace, found))
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from netlab.inspect.table import Column, Table
 from netlab.traces.conversations import Conversation, Flow
-from netlab.traces.drops import Drops
+from netlab.traces.drops import Drops, Where
 from netlab.traces.explain import milliseconds
 from netlab.traces.messages import MessageLife
 from netlab.traces.model import Trace
 from netlab.traces.queues_at import Queues
 from netlab.traces.routes import Route
 from netlab.traces.waiting import size_text
+
+
+_MOST_LINKS = 3  # of one sender, each with a row of its own
 
 
 def conversations_table(trace: Trace, found: Iterable[Conversation]) -> Table:
@@ -57,8 +61,10 @@ def _missing(flow: Flow) -> int | None:
     return None if flow.arrived is None else max(0, flow.frames - flow.arrived)
 
 
-def drops_table(trace: Trace, found: Iterable[Drops]) -> Table:
-    """What was dropped, by place and reason."""
+def drops_table(trace: Trace, found: Iterable[Drops], *, is_for_people: bool) -> Table:
+    """What was dropped, by place and reason; for people the links of one sender are summed up where they are many."""
+    if is_for_people:
+        found = _summed(found)
     rows = [
         {
             "where": entry.where.value,
@@ -87,6 +93,26 @@ def drops_table(trace: Trace, found: Iterable[Drops]) -> Table:
         Column("priority"),
     )
     return Table("drops", shown, rows, "nothing was dropped")
+
+
+def _summed(found: Iterable[Drops]) -> list[Drops]:
+    alike: dict[tuple[str, ...], list[Drops]] = {}
+    for entry in found:
+        peer = "" if entry.where is Where.LINK else entry.peer
+        alike.setdefault((entry.where, entry.reason, entry.node, peer, entry.topic), []).append(entry)
+    rows: list[Drops] = []
+    for entries in alike.values():
+        rows += entries if len(entries) <= _MOST_LINKS else [_sum(entries)]
+    return rows
+
+
+def _sum(entries: list[Drops]) -> Drops:
+    first, count = entries[0], sum(entry.count for entry in entries)
+    size_bytes = sum(entry.size_bytes for entry in entries)
+    first_ns = min((entry.first_ns for entry in entries if entry.first_ns is not None), default=None)
+    last_ns = max((entry.last_ns for entry in entries if entry.last_ns is not None), default=None)
+    peer = f"{len(entries)} interfaces"
+    return replace(first, peer=peer, count=count, size_bytes=size_bytes, first_ns=first_ns, last_ns=last_ns)
 
 
 def queues_tables(trace: Trace, queues: Queues, *, has_verdicts: bool) -> list[Table]:

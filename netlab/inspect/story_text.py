@@ -15,6 +15,7 @@ from netlab.traces.waiting import behind, merged_ahead, size_text
 _MOST_PARTS = 4  # lines of one cause
 _MOST_FRAGMENTS = 12
 _BAR = 20
+_LEAST_S = 0.00005
 _LEAST_SHARE = 0.01  # of which the details are worth lines
 
 
@@ -40,7 +41,8 @@ def _way(story: Story) -> str:
 
 
 def _shares(story: Story, width: int) -> Iterator[str]:
-    for share in story.shares:
+    told = [share for share in story.shares if share.duration_s >= _LEAST_S or share.ratio >= _LEAST_SHARE]
+    for share in told:
         bar = "#" * round(_BAR * share.ratio)
         name = share.cause.value.replace("_", " ")
         yield f"  {name:<13}{milliseconds(share.duration_s):>11} {100 * share.ratio:4.0f} %  {bar}".rstrip()
@@ -57,11 +59,17 @@ def _told(share: Share) -> Iterator[str]:
         parts = f", in {len(share.parts)} turns" if len(share.parts) > 1 else ""
         yield f"{_times(share.parts)} {behind(merged_ahead(ahead))}{parts}"
         return
-    worded = [part for part in share.parts if part.words]
-    for part in worded[:_MOST_PARTS]:
-        yield f"{_times((part,))} {part.words}"
-    if worded[_MOST_PARTS:]:
-        yield f"... and {len(worded) - _MOST_PARTS} more (--format json has all)"
+    groups: dict[str, list[Part]] = {}
+    for part in share.parts:
+        if part.words:
+            groups.setdefault(part.words, []).append(part)
+    ranked = sorted(groups.values(), key=lambda parts: -sum(part.duration_s for part in parts))[:_MOST_PARTS]
+    for parts in sorted(ranked, key=lambda parts: parts[0].from_s):
+        total_s = sum(part.duration_s for part in parts)
+        turns = f" ({len(parts)} times, {milliseconds(total_s)})" if len(parts) > 1 else ""
+        yield f"{_times(tuple(parts))} {parts[0].words}{turns}"
+    if len(groups) > len(ranked):
+        yield f"... and {len(groups) - len(ranked)} more (--format json has all)"
 
 
 def _times(parts: tuple[Part, ...]) -> str:

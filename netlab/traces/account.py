@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 from netlab.medium.verdicts import Verdict
@@ -12,7 +13,7 @@ from netlab.traces.causes import Cause, Stretch, merged, painted
 from netlab.traces.daemon_log import QueuedMessage
 from netlab.traces.evidence import Departure, Evidence
 from netlab.traces.model import Published, Stream, Trace
-from netlab.traces.transit import transit
+from netlab.traces.transit import frame_ns, transit
 from netlab.traces.waiting import Sender
 
 _STAMP_SLACK_NS = 1_000_000
@@ -73,7 +74,7 @@ class Account:
         self._published, self._message, self._end_ns = published, message, end_ns
         meetings = trace.daemons.meetings.get((stream.source, stream.destination), [])
         tags = {meeting.epoch & 0xFFFFFFFF for meeting in meetings}
-        self.lane = Sender(trace, evidence, message, tags)
+        self.lane = Sender(trace, evidence, message, tags, self._frame_ns)
         self._away = absences(trace, stream.source, stream.destination)
         self.attempts: dict[int, list[Attempt]] = {}
         self._follow(tags | {0})
@@ -96,6 +97,16 @@ class Account:
             tag, t_ns = departure.destination_tag, departure.t_ns
             acked_ns = self._evidence.first_ack(departure.packet, after_ns=t_ns, from_tag=tag) if tag else None
             self.attempts.setdefault(departure.index, []).append(Attempt(departure, carried, counts, acked_ns))
+
+    def _frame_ns(self, departure: Departure) -> int:
+        return frame_ns(self._trace, self._evidence, departure.packet, self._quickest_ns)
+
+    @cached_property
+    def _quickest_ns(self) -> int:
+        """The least time that any fragment of it took to its destination."""
+        attempts = (attempt for tries in self.attempts.values() for attempt in tries)
+        times = (a.carried.arrived_ns - a.departure.t_ns for a in attempts if a.carried.arrived_ns is not None)
+        return min(times, default=0)
 
     def arrived_ns(self, index: int) -> int | None:
         """First arrival of a fragment that counts."""
@@ -130,7 +141,7 @@ class Account:
                 waits.append(self._failed(attempt, following))
             else:
                 break
-        waits = painted(_over(waits, Cause.PACING, self.lane.yielding()), self._away)
+        waits = painted(waits, self._away)
         return merged(_clipped([*waits, *self._arrival(brought)], self._published.t_ns, self._end_ns))
 
     def _arrival(self, brought: Attempt | None) -> list[Stretch]:
@@ -141,7 +152,7 @@ class Account:
         way = (
             unseen
             if at_ns is None
-            else transit(self._trace, self._evidence, brought.carried, brought.departure.t_ns, self.lane.named)
+            else transit(self._trace, self._evidence, brought.carried, brought.departure, self.lane.named)
         )
         inside = Stretch(brought.arrived_ns, self._end_ns, Cause.REASSEMBLY, self._handing_over(brought.arrived_ns))
         died = [stretch for stretch in self._away if stretch.cause is Cause.RESTART]
@@ -198,14 +209,6 @@ class Account:
         if whole_ns is None or whole_ns > self._end_ns:
             return f"inside {destination}"
         return f"inside {destination}: put together at {self._trace.seconds(whole_ns):.6f} s, then to the application"
-
-
-def _over(base: list[Stretch], cause: Cause, over: list[Stretch]) -> list[Stretch]:
-    """Lay stretches over those of one cause."""
-    out: list[Stretch] = []
-    for stretch in base:
-        out += painted([stretch], over) if stretch.cause is cause else [stretch]
-    return out
 
 
 def _clipped(stretches: list[Stretch], start_ns: int, end_ns: int) -> list[Stretch]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from netlab.traces.carriage import Carriage, Hop
 from netlab.traces.causes import Cause, Stretch
-from netlab.traces.evidence import Departure, Evidence
+from netlab.traces.evidence import Departure, Evidence, PacketId
 from netlab.traces.model import NS_PER_S, LinkState, Trace
 from netlab.traces.waiting import Naming, behind
 
@@ -15,22 +15,26 @@ _LOOK_BACK = 2000  # departures
 _NO_QUEUE_NS = 250_000  # less than this is the emulation's own time
 
 
-def transit(trace: Trace, evidence: Evidence, carried: Carriage, left_ns: int, naming: Naming) -> Iterator[Stretch]:
+def transit(
+    trace: Trace, evidence: Evidence, carried: Carriage, departure: Departure, naming: Naming
+) -> Iterator[Stretch]:
     """Divide the time from a datagram's departure to its arrival; nothing if it did not arrive."""
     if carried.arrived_ns is None:
         return
-    at_ns = left_ns
+    at_ns, packet = departure.t_ns, departure.packet
     for hop in carried.hops:
         if hop.arrived_ns is None or hop.left_ns < at_ns:
             continue
         yield Stretch(at_ns, hop.left_ns, Cause.RELAY, f"inside {hop.sender[0]}")
-        yield from _hop(trace, evidence, hop, hop.arrived_ns, naming)
+        yield from _hop(trace, evidence, hop, hop.arrived_ns, packet, naming)
         at_ns = hop.arrived_ns
     what = f"inside {carried.hops[-1].receiver[0]}" if carried.hops else "on the way"
     yield Stretch(at_ns, carried.arrived_ns, Cause.RELAY if carried.hops else Cause.UNEXPLAINED, what)
 
 
-def _hop(trace: Trace, evidence: Evidence, hop: Hop, arrived_ns: int, naming: Naming) -> Iterator[Stretch]:
+def _hop(
+    trace: Trace, evidence: Evidence, hop: Hop, arrived_ns: int, packet: PacketId, naming: Naming
+) -> Iterator[Stretch]:
     whole_ns = arrived_ns - hop.left_ns
     state = _state(trace, hop)
     delay_ns, own_ns = _inherent(state, hop)
@@ -44,7 +48,9 @@ def _hop(trace: Trace, evidence: Evidence, hop: Hop, arrived_ns: int, naming: Na
     name = f"{'/'.join(hop.sender)} > {'/'.join(hop.receiver)}"
     queue_end, own_end = hop.left_ns + queue_ns, hop.left_ns + queue_ns + own_ns
     if queue_ns:
-        yield Stretch(hop.left_ns, queue_end, Cause.LINK_QUEUE, f"{_queue_words(evidence, hop, naming)} at {name}")
+        yield Stretch(
+            hop.left_ns, queue_end, Cause.LINK_QUEUE, f"{_queue_words(evidence, hop, packet, naming)} at {name}"
+        )
     rate = f" at {state.rate_bps / 1e6:g} Mbit/s" if state is not None and state.rate_bps else ""
     yield Stretch(queue_end, own_end, Cause.TRANSMISSION, f"{hop.frame_bytes} B on {name}{rate}")
     yield Stretch(own_end, arrived_ns, Cause.PROPAGATION, f"on {name}")
@@ -65,6 +71,18 @@ def _inherent(state: LinkState | None, hop: Hop) -> tuple[int | None, int]:
     return round((state.delay_s + state.jitter_s) * NS_PER_S), round(own_s * NS_PER_S)
 
 
+def frame_ns(trace: Trace, evidence: Evidence, packet: PacketId, fallback_ns: int) -> int:
+    """How long a datagram takes on its sender's link by itself; ``fallback_ns`` where nobody says, as of radios."""
+    for seen in evidence.sightings.get(packet, []):
+        segment = trace.segments.get(seen.interface)
+        if seen.is_outbound and seen.interface[0] == evidence.node and segment is not None:
+            for (sender, _, name), states in trace.states.items():
+                if (sender, name) == (evidence.node, segment) and states[0].delay_s is not None:
+                    rate_bps = trace.rate_bps(seen.interface, seen.t_ns)
+                    return round(seen.frame_bytes * 8 / rate_bps * NS_PER_S) if rate_bps else 0
+    return fallback_ns
+
+
 def _quickest_ns(evidence: Evidence, hop: Hop, whole_ns: int) -> int:
     """The least time that a frame at least as long took on this hop."""
     times = [whole_ns]
@@ -75,8 +93,8 @@ def _quickest_ns(evidence: Evidence, hop: Hop, whole_ns: int) -> int:
     return min(times)
 
 
-def _queue_words(evidence: Evidence, hop: Hop, naming: Naming) -> str:
-    words = behind(naming(_in_front(evidence, hop)))
+def _queue_words(evidence: Evidence, hop: Hop, packet: PacketId, naming: Naming) -> str:
+    words = behind(naming(d for d in _in_front(evidence, hop) if d.packet != packet))
     return f"{words}, sent {hop.attempts} times by the radio" if hop.attempts > 1 else words
 
 

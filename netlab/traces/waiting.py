@@ -7,13 +7,14 @@ message's packet was spent behind that message; what ends with its own, on windo
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby
 
-from netlab.traces.causes import Cause, Stretch
+from netlab.traces.causes import Cause, Stretch, painted
 from netlab.traces.daemon_log import QueuedMessage
 from netlab.traces.evidence import Departure, Evidence
 from netlab.traces.model import Trace
@@ -52,12 +53,22 @@ class Sender:
     """The sender of one message as its packets and its daemon show it.
 
     Args:
-        own_ids: The message's ids on the wire.
+        trace: Of the run.
+        evidence: Of the sender.
+        message: In its queue.
         tags: Low halves of the epochs that its destination had.
+        frame_ns: How long a frame takes on its link by itself.
     """
 
-    def __init__(self, trace: Trace, evidence: Evidence, message: QueuedMessage, tags: set[int]) -> None:
-        self._trace, self._evidence, self._message = trace, evidence, message
+    def __init__(
+        self,
+        trace: Trace,
+        evidence: Evidence,
+        message: QueuedMessage,
+        tags: set[int],
+        frame_ns: Callable[[Departure], int],
+    ) -> None:
+        self._trace, self._evidence, self._message, self._frame_ns = trace, evidence, message, frame_ns
         self._own_ids = message.ids_on_wire
         self._lane = [d for d in evidence.departures if d.destination_tag in tags or d.destination_tag == 0]
         self._seqs = {(d.packet[0], d.message_id): d.traffic for d in evidence.departures if d.traffic is not None}
@@ -67,17 +78,21 @@ class Sender:
         """Divide the time in which a fragment of the message waited to leave, up to its departure."""
         out: list[Stretch] = []
         start_ns = from_ns
-        first_own_ns = min((d.t_ns for d in self._lane if d.message_id in self._own_ids), default=to_ns)
+        sent = _Own(self)
+        others = self._yielding
         for t_ns, pieces in groupby(self._between(from_ns, to_ns), key=lambda d: d.t_ns):
-            cause, words = self._turn(list(pieces), is_first=t_ns <= first_own_ns)
-            out.append(Stretch(start_ns, t_ns, cause, words))
+            own = next((piece for piece in pieces if piece.message_id in self._own_ids), None)
+            out += painted(sent.turn(own, start_ns), others) if own else [Stretch(start_ns, t_ns, Cause.QUEUE)]
             start_ns = t_ns
-        out.append(Stretch(start_ns, to_ns, Cause.PACING, self.pacing_words(to_ns)))
-        return out
+        return [*out, *painted(sent.last_turn(start_ns, to_ns), others)]
+
+    def frame_ns(self, departure: Departure) -> int:
+        """How long a frame takes on its link by itself."""
+        return self._frame_ns(departure)
 
     def ahead(self, from_ns: int, to_ns: int) -> tuple[Ahead, ...]:
         """The other messages of which packets left in (from, to], the one with the most bytes first."""
-        return self.named(d for d in self._between(from_ns, to_ns + 1) if d.message_id not in self._own_ids)
+        return self.named(d for d in self._between(from_ns + 1, to_ns + 1) if d.message_id not in self._own_ids)
 
     def named(self, departures: Iterable[Departure]) -> tuple[Ahead, ...]:
         """Sum up departures by message, the one with the most bytes first."""
@@ -91,7 +106,8 @@ class Sender:
             about[key] = departure
         return tuple(self._ahead(about[key], fragments[key], size) for key, size in sizes.most_common())
 
-    def yielding(self) -> list[Stretch]:
+    @cached_property
+    def _yielding(self) -> list[Stretch]:
         """When other nodes' more urgent backlogs held this message back, as far as the sender heard them."""
         names = self._trace.daemons.epochs()
         return [
@@ -116,17 +132,11 @@ class Sender:
         return f"for window or pace ({told} at {self._trace.seconds(window.t_ns):.3f} s)"
 
     def _between(self, from_ns: int, to_ns: int) -> Iterator[Departure]:
-        start = bisect_right(self._lane, from_ns, key=lambda d: d.t_ns)
+        start = bisect_left(self._lane, from_ns, key=lambda d: d.t_ns)
         for departure in self._lane[start:]:
             if departure.t_ns >= to_ns:
                 return
             yield departure
-
-    def _turn(self, pieces: list[Departure], *, is_first: bool) -> tuple[Cause, str]:
-        own = next((piece for piece in pieces if piece.message_id in self._own_ids), None)
-        if own is None:
-            return Cause.QUEUE, ""
-        return (Cause.PACING, self.pacing_words(own.t_ns)) if is_first else (Cause.SENDING, "")
 
     def _ahead(self, departure: Departure, fragments: int, payload_bytes: int) -> Ahead:
         told = self._seqs.get((departure.packet[0], departure.message_id))
@@ -138,6 +148,39 @@ class Sender:
         index = bisect_right(self._queued, departure.t_ns, key=lambda message: message.queued_ns)
         fitting = (m.topic for m in reversed(self._queued[:index]) if departure.message_id in m.ids_on_wire)
         return next(fitting, "")
+
+
+class _Own:
+    """The turns of a message's own packets: what their frames take is sending, the rest is window and pace.
+
+    Frames that left closer together than the link takes are made up for by the waits after them.
+    """
+
+    def __init__(self, sender: Sender) -> None:
+        self._sender = sender
+        self._credit_ns = 0
+        self._left: set[tuple[int, int, int]] = set()
+
+    def turn(self, departure: Departure, start_ns: int) -> list[Stretch]:
+        """The wait of one of its fragments that left."""
+        fragment = (departure.destination_tag, departure.message_id, departure.index)
+        if fragment in self._left:
+            words = f"its fragment {departure.index + 1}/{departure.count} left again"
+            return [Stretch(start_ns, departure.t_ns, Cause.LOSS, words)]
+        self._left.add(fragment)
+        out = self.last_turn(start_ns, departure.t_ns)
+        self._credit_ns += self._sender.frame_ns(departure)
+        return out
+
+    def last_turn(self, start_ns: int, end_ns: int) -> list[Stretch]:
+        """The wait up to a departure, after what has left before."""
+        sending_ns = min(self._credit_ns, end_ns - start_ns)
+        self._credit_ns -= sending_ns
+        words = self._sender.pacing_words(end_ns)
+        return [
+            Stretch(start_ns, start_ns + sending_ns, Cause.SENDING),
+            Stretch(start_ns + sending_ns, end_ns, Cause.PACING, words),
+        ]
 
 
 def merged_ahead(ahead: Iterable[Ahead]) -> list[Ahead]:

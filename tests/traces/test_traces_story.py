@@ -115,8 +115,26 @@ def test_a_messages_own_fragments_and_those_between_them(play: Play) -> None:
     play.receive(1, 0, 0.16, published_s=0.1, message_id=4, daemon_s=0.16)
     found = story(play, 1)
     assert found.critical_index == 2
-    assert parts(found)[:3] == [("sending", 0.1, 0.11), ("queue", 0.11, 0.125), ("pacing", 0.125, 0.13)]
-    assert found.parts[1].words == "behind telemetry #0 (118 B)"
+    assert parts(found)[:5] == [
+        ("sending", 0.1, 0.101616),
+        ("pacing", 0.101616, 0.11),
+        ("queue", 0.11, 0.125),
+        ("sending", 0.125, 0.126576),
+        ("pacing", 0.126576, 0.13),
+    ]
+    assert found.parts[2].words == "behind telemetry #0 (118 B)"
+
+
+def test_what_its_other_fragments_take_again_is_loss(play: Play) -> None:
+    play.publish(1, 0, 0.1)
+    play.queue(1, 4, 0.1, fragments=2)
+    play.send(1, 0, 0.1, message_id=4, number=1, count=2, verdict=Verdict.LOST)
+    play.send(1, 0, 0.15, message_id=4, number=2, count=2, arrives_s=0.172)
+    play.send(1, 0, 0.2, message_id=4, number=3, index=1, count=2, arrives_s=0.2 + FRAME_S + 0.02)
+    play.receive(1, 0, 0.23, published_s=0.1, message_id=4, daemon_s=0.23)
+    found = story(play, 1)
+    assert parts(found)[:3] == [("loss", 0.1, 0.15), ("sending", 0.15, 0.151616), ("pacing", 0.151616, 0.2)]
+    assert found.parts[0].words == "its fragment 1/2 left again"
 
 
 def test_a_rate_limit_holds_before_the_queue(play: Play) -> None:
