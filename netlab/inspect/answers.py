@@ -15,7 +15,6 @@ from netlab.traces.queues_at import Queues
 from netlab.traces.routes import Route
 from netlab.traces.waiting import size_text
 
-
 _MOST_LINKS = 3  # of one sender, each with a row of its own
 
 

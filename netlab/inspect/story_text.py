@@ -63,11 +63,11 @@ def _told(share: Share) -> Iterator[str]:
     for part in share.parts:
         if part.words:
             groups.setdefault(part.words, []).append(part)
-    ranked = sorted(groups.values(), key=lambda parts: -sum(part.duration_s for part in parts))[:_MOST_PARTS]
-    for parts in sorted(ranked, key=lambda parts: parts[0].from_s):
-        total_s = sum(part.duration_s for part in parts)
-        turns = f" ({len(parts)} times, {milliseconds(total_s)})" if len(parts) > 1 else ""
-        yield f"{_times(tuple(parts))} {parts[0].words}{turns}"
+    ranked = sorted(groups.values(), key=lambda group: -sum(part.duration_s for part in group))[:_MOST_PARTS]
+    for alike in sorted(ranked, key=lambda group: group[0].from_s):
+        total_s = sum(part.duration_s for part in alike)
+        turns = f" ({len(alike)} times, {milliseconds(total_s)})" if len(alike) > 1 else ""
+        yield f"{_times(tuple(alike))} {alike[0].words}{turns}"
     if len(groups) > len(ranked):
         yield f"... and {len(groups) - len(ranked)} more (--format json has all)"
 

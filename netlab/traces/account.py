@@ -26,8 +26,8 @@ _HOW = {
     Verdict.LOST: "was lost",
     Verdict.COLLISION: "was drowned by another transmission",
     Verdict.CORRUPTED: "was corrupted",
-    Verdict.OUTAGE: "left into an outage",
-    Verdict.OUT_OF_RANGE: "left out of range",
+    Verdict.OUTAGE: "was lost in an outage",
+    Verdict.OUT_OF_RANGE: "was out of range",
     Verdict.QUEUE_FULL: "found the queue full",
 }
 

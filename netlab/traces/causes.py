@@ -36,6 +36,8 @@ class Cause(StrEnum):
     """The path was there again, and the sender did not know or had not tried yet."""
     LINK_QUEUE = "link_queue"
     """In the queue of the link or the radio, behind other frames or waiting for the channel."""
+    RADIO_RETRIES = "radio_retries"
+    """An 802.11 radio sent the frame several times before it was heard."""
     TRANSMISSION = "transmission"
     """The frame's own time on the link."""
     PROPAGATION = "propagation"

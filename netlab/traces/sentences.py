@@ -21,6 +21,7 @@ _LATE = {
     Cause.PEER_ABSENT: "the destination was offline",
     Cause.RECONNECT: "the nodes had yet to find each other again",
     Cause.LINK_QUEUE: "it waited in the link's queue or for the channel",
+    Cause.RADIO_RETRIES: "the radio had to send it several times until it was heard",
     Cause.TRANSMISSION: "the frame itself was long on the link",
     Cause.PROPAGATION: "the link's delay",
     Cause.RELAY: "it waited inside nodes that passed it on",

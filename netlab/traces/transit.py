@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from netlab.traces.carriage import Carriage, Hop
 from netlab.traces.causes import Cause, Stretch
 from netlab.traces.evidence import Departure, Evidence, PacketId
 from netlab.traces.model import NS_PER_S, LinkState, Trace
-from netlab.traces.waiting import Naming, behind
+from netlab.traces.waiting import Ahead, Naming, behind
 
 _LOOK_BACK = 2000  # departures
 _NO_QUEUE_NS = 250_000  # less than this is the emulation's own time
@@ -93,9 +93,14 @@ def _quickest_ns(evidence: Evidence, hop: Hop, whole_ns: int) -> int:
     return min(times)
 
 
-def _queue_words(evidence: Evidence, hop: Hop, packet: PacketId, naming: Naming) -> str:
-    words = behind(naming(d for d in _in_front(evidence, hop) if d.packet != packet))
-    return f"{words}, sent {hop.attempts} times by the radio" if hop.attempts > 1 else words
+def _why_waiting(hop: Hop, in_front: Sequence[Ahead]) -> tuple[Cause, str]:
+    """What a frame waited for in a link, and the words for it."""
+    retries = f"sent {hop.attempts} times by the radio" if hop.attempts > 1 else ""
+    if in_front:
+        return Cause.LINK_QUEUE, f"{behind(in_front)}{f', {retries}' if retries else ''}"
+    return (
+        (Cause.RADIO_RETRIES, retries) if retries else (Cause.LINK_QUEUE, "for the channel, or behind others' frames")
+    )
 
 
 def _in_front(evidence: Evidence, hop: Hop) -> list[Departure]:

@@ -164,7 +164,7 @@ def test_an_outage_then_the_time_to_find_each_other(play: Play) -> None:
     assert parts(found)[:3] == [("outage", 0.3, 1.0), ("reconnect", 1.0, 1.03), ("reconnect", 1.03, 1.05)]
     assert found.parts[0].words == "outage between a and b from 0.200 s to 1.000 s"
     assert found.parts[1].words == "the path was back at 1.000 s; a heard b at 1.030 s"
-    assert found.parts[2].words.endswith("left into an outage on a/eth0 > b/eth0; it left again at 1.050 s")
+    assert found.parts[2].words.endswith("was lost in an outage on a/eth0 > b/eth0; it left again at 1.050 s")
     assert found.cause is Cause.OUTAGE
 
 
