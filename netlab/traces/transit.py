@@ -48,9 +48,8 @@ def _hop(
     name = f"{'/'.join(hop.sender)} > {'/'.join(hop.receiver)}"
     queue_end, own_end = hop.left_ns + queue_ns, hop.left_ns + queue_ns + own_ns
     if queue_ns:
-        yield Stretch(
-            hop.left_ns, queue_end, Cause.LINK_QUEUE, f"{_queue_words(evidence, hop, packet, naming)} at {name}"
-        )
+        cause, words = _why_waiting(hop, naming(d for d in _in_front(evidence, hop) if d.packet != packet))
+        yield Stretch(hop.left_ns, queue_end, cause, f"{words} at {name}")
     rate = f" at {state.rate_bps / 1e6:g} Mbit/s" if state is not None and state.rate_bps else ""
     yield Stretch(queue_end, own_end, Cause.TRANSMISSION, f"{hop.frame_bytes} B on {name}{rate}")
     yield Stretch(own_end, arrived_ns, Cause.PROPAGATION, f"on {name}")
