@@ -55,8 +55,9 @@ class Conversations:
 
     def __init__(self, trace: Trace) -> None:
         self._macs = {mac: interface[0] for mac, interface in trace.macs.items()}
-        self._nodes: dict[str, str] = {}  # whose an IPv4 address is: whoever sends with it
+        self._nodes = dict(trace.addresses)  # whose an IPv4 address is; else whoever sends with it
         self._found: dict[tuple[str, str, str], Flow] = {}  # by sender, destination (an address still), protocol
+        self._senders = set(trace.addresses.values())
         self._times: dict[tuple[str, str, str], list[int]] = {}
         self._arrived: dict[tuple[str, str, str], int] = {}  # by sender's address, receiver, protocol
 
@@ -67,6 +68,7 @@ class Conversations:
             if record.frame[6:12]:
                 self._macs.setdefault(bytes(record.frame[6:12]), record.node)
             self._nodes.setdefault(source, record.node)
+            self._senders.add(record.node)
             key = (record.node, destination, protocol)
             flow = self._found.setdefault(key, Flow())
             flow.frames, flow.size_bytes = flow.frames + 1, flow.size_bytes + record.original_length
@@ -81,7 +83,8 @@ class Conversations:
         found: dict[tuple[str, str, str], Conversation] = {}
         for (sender, address, protocol), flow in self._found.items():
             receiver = self._name(address)
-            a, b = (sender, receiver) if receiver == EVERYBODY or sender <= receiver else (receiver, sender)
+            is_node = receiver in self._senders
+            a, b = (receiver, sender) if is_node and receiver < sender else (sender, receiver)
             talk = found.setdefault((a, b, protocol), Conversation(a, b, protocol))
             side = talk.there if a == sender else talk.back
             side.frames, side.size_bytes = side.frames + flow.frames, side.size_bytes + flow.size_bytes

@@ -109,6 +109,9 @@ class _Loader:
                 trace.macs[bytes.fromhex(port["mac"].replace(":", ""))] = interface
             if port.get("rate_bps"):
                 trace.rates_bps[interface] = [(0, float(port["rate_bps"]))]
+        for port in (*json.loads(metadata.get("ports", "[]")), *json.loads(metadata.get("meshes", "[]"))):
+            if port.get("address"):
+                trace.addresses[port["address"].split("/")[0]] = port["node"]
         planned = set(self._interfaces.values())
         seen = {
             (topic.metadata.get("node"), topic.metadata.get("interface"))

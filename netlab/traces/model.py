@@ -194,6 +194,7 @@ class Trace:
         segments: The segment of each interface of the plan.
         is_meshed: Whether nodes have interfaces besides those of the plan: a mesh below IP routes between them.
         macs: Whose interface an address is, as far as the run's metadata tells.
+        addresses: Whose an IPv4 address is, as far as the run's metadata tells.
         daemons: What the daemons told of their messages and peers.
         notes: What is wrong with the capture.
     """
@@ -215,6 +216,7 @@ class Trace:
     segments: dict[Interface, str] = field(default_factory=dict)
     is_meshed: bool = False
     macs: dict[bytes, Interface] = field(default_factory=dict)
+    addresses: dict[str, str] = field(default_factory=dict)
     daemons: DaemonLog = field(default_factory=DaemonLog)
     remarks: list[Remark] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
