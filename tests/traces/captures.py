@@ -130,7 +130,23 @@ class Play(Writer):
         epoch_b: int | None = None,
     ) -> None:
         """A fragment leaves a, and arrives if ``arrives_s`` says when; the medium tells its verdict."""
-        content = self.frame(data(stream, seq, message_id=message_id, index=index, count=count), number, epoch_b)
+        body = data(stream, seq, message_id=message_id, index=index, count=count)
+        self.transmit(body, at_s, number=number, arrives_s=arrives_s, verdict=verdict, epoch_b=epoch_b)
+
+    def transmit(
+        self,
+        body: bytes,
+        at_s: float,
+        *,
+        number: int,
+        arrives_s: float | None,
+        verdict: Verdict | None = None,
+        epoch_b: int | None = None,
+    ) -> None:
+        """A packet with any frames leaves a, and arrives if ``arrives_s`` says when."""
+        content = self.frame(body, number, epoch_b)
+        if verdict is None:
+            verdict = Verdict.LOST if arrives_s is None else Verdict.DELIVERED
         self.packet("a", at_s, content, Direction.OUTBOUND)
         ends = encode_verdict_ends(("a", "eth0"), ("b", "eth0"))
         departs_ns = 0 if arrives_s is None else T0_NS + round(arrives_s * 1e9)
