@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+from netlab.capture.view import Filter
 from netlab.inspect.table import Column, Table
 from netlab.traces.conversations import Conversation, Flow
 from netlab.traces.drops import Drops, Where
@@ -112,6 +113,23 @@ def _sum(entries: list[Drops]) -> Drops:
     last_ns = max((entry.last_ns for entry in entries if entry.last_ns is not None), default=None)
     peer = f"{len(entries)} interfaces"
     return replace(first, peer=peer, count=count, size_bytes=size_bytes, first_ns=first_ns, last_ns=last_ns)
+
+
+def of_chosen(queues: Queues, chosen: Filter) -> Queues:
+    """What the filters leave of the queues: topic and priority choose messages, node and peer everything."""
+    names = [name for name in (chosen.node, chosen.peer) if name is not None]
+    return replace(
+        queues,
+        waiting=tuple(
+            entry
+            for entry in queues.waiting
+            if all(name in (entry.node, entry.peer) for name in names)
+            and chosen.topic in (None, entry.topic)
+            and chosen.priority in (None, entry.priority)
+        ),
+        in_links=tuple(e for e in queues.in_links if all(name in (e.sender[0], e.receiver[0]) for name in names)),
+        windows={pair: window for pair, window in queues.windows.items() if all(name in pair for name in names)},
+    )
 
 
 def queues_tables(trace: Trace, queues: Queues, *, has_verdicts: bool) -> list[Table]:
