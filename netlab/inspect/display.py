@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import tempfile
@@ -15,6 +16,7 @@ from netlab.capture.records import Kind, PacketRecord
 from netlab.errors import NetlabError
 
 _INSTALL = "sudo apt-get install tshark"
+_DISSECTORS = Path(__file__).parents[1] / "wireshark" / "lua"  # of what netlab's own protocols put on the wire
 
 
 class DisplayFilterError(NetlabError):
@@ -36,10 +38,13 @@ def matching(capture: Capture, expression: str) -> Iterator[Iterator[PacketRecor
     with tempfile.TemporaryDirectory(prefix="netlab-display-") as folder:
         exported = Path(folder) / "packets.pcapng"
         export_pcapng(capture, exported)
-        command = [tshark, "-r", str(exported), "-Y", expression, "-T", "fields", "-e", "frame.number"]
+        scripts = [word for path in sorted(_DISSECTORS.glob("*.lua")) for word in ("-X", f"lua_script:{path}")]
+        command = [tshark, "-2", "-r", str(exported), *scripts, "-Y", expression, "-T", "fields", "-e", "frame.number"]
+        # A home of its own: dissectors that are installed there, too, would be registered twice.
+        environment = {**os.environ, "HOME": folder, "XDG_CONFIG_HOME": folder}
         found = Path(folder) / "numbers"
         with found.open("w") as file:
-            done = subprocess.run(command, stdout=file, stderr=subprocess.PIPE, text=True, check=False)
+            done = subprocess.run(command, stdout=file, stderr=subprocess.PIPE, text=True, check=False, env=environment)
         if done.returncode:
             raise DisplayFilterError(f"--display: {_complaint(done.stderr)}")
         with found.open() as numbers:
