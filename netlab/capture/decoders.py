@@ -10,7 +10,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from netlab.capture import batman, flood
-from udp_mesh.core.wire import Dissection, dissect
+from udp_mesh.core.envelope import decode as decode_envelope
+from udp_mesh.core.wire import DATA_FLAG_ENVELOPE, DataFragment, Dissection, dissect
 
 LINKTYPE_ETHERNET = 1
 _ETHERTYPE_IPV4 = 0x0800
@@ -112,6 +113,16 @@ def traffic_of(payload: bytes | memoryview) -> TrafficHeader | None:
         return None
     magic, stream, seq, published_ns = _TRAFFIC.unpack_from(payload)
     return TrafficHeader(stream, seq, published_ns) if magic == TRAFFIC_MAGIC else None
+
+
+def traffic_in(fragment: DataFragment) -> TrafficHeader | None:
+    """As :func:`traffic_of`, of a message's first fragment, behind its envelope if it has one; None for any other."""
+    if fragment.topic is None:
+        return None
+    if not fragment.flags & DATA_FLAG_ENVELOPE:
+        return traffic_of(fragment.payload)
+    opened = decode_envelope(fragment.payload)
+    return traffic_of(opened[1]) if opened is not None else None
 
 
 def _dotted(address: bytes) -> str:

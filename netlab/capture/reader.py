@@ -93,6 +93,11 @@ class Capture:
         text = self.metadata.get("t0_ns", "")
         if text.isdigit():
             return int(text)
+        return self.start_ns
+
+    @property
+    def start_ns(self) -> int:
+        """Time of the first record."""
         return min((chunk.start_ns for chunk in self._scan.chunks), default=0)
 
     @property

@@ -29,9 +29,11 @@ from netlab.traces.load import load_trace, read_trace
 from netlab.traces.messages import message_lives
 from netlab.traces.model import Trace
 from netlab.traces.queues_at import queues_at as all_queues
-from netlab.traces.routes import routes as all_routes
+from netlab.traces.routes import Routes
 from netlab.traces.tell import tell
 
+_SLICE_NS = 5_000_000_000
+_LONGEST_WAY_NS = 2_000_000_000  # from a datagram's departure to its arrival
 _IN_LINKS_NS = 10_000_000_000  # nothing stays longer in a link
 
 
@@ -124,16 +126,16 @@ def routes(asked: Asked) -> Iterator[str]:
     with Capture.open(asked.file) as capture:
         trace = read_trace(capture, with_packets=False)
         streams = [stream for stream in trace.streams if fits(stream, asked.chosen)]
-        sources = {stream.source for stream in streams}
-        start_ns, end_ns = asked.times(trace)
-        evidence = gather_all(capture, sources, start_ns=start_ns, end_ns=end_ns, with_verdicts=False)
+        found = Routes(trace)
+        for start_ns, end_ns in _slices(capture, *asked.times(trace)):
+            sources = {stream.source for stream in streams}
+            upto_ns = end_ns + _LONGEST_WAY_NS
+            evidence = gather_all(capture, sources, start_ns=start_ns, end_ns=upto_ns, with_verdicts=False)
+            for source in sources:
+                destinations = {stream.destination for stream in streams if stream.source == source}
+                found.take(evidence[source], destinations, until_ns=end_ns)
         _note_all(asked, capture.notes)
-    found = [
-        route
-        for source in sorted(sources)
-        for route in all_routes(trace, evidence[source], {s.destination for s in streams if s.source == source})
-    ]
-    yield from _table(asked, answers.routes_table(trace, found))
+    yield from _table(asked, answers.routes_table(trace, found.result()))
 
 
 def display(asked: Asked, expression: str) -> Iterator[str]:
@@ -167,6 +169,15 @@ def messages(asked: Asked) -> Iterator[str]:
         rows = (answers.message_row(trace, life) for life in lives)
         yield from (line.rstrip("\n") for line in csv_lines(answers.MESSAGE_KEYS, rows))
     _note_all(asked, trace.notes)
+
+
+def _slices(capture: Capture, start_ns: int, end_ns: int) -> Iterator[tuple[int, int]]:
+    """A time cut up, so that the packets of one slice at a time are held."""
+    end_ns = min(end_ns, capture.end_ns + 1)
+    at_ns = max(start_ns, capture.start_ns)
+    while at_ns < end_ns:
+        yield at_ns, min(at_ns + _SLICE_NS, end_ns)
+        at_ns += _SLICE_NS
 
 
 def _is_chosen(entry: Drops, chosen: Filter) -> bool:

@@ -10,7 +10,7 @@ from netlab.medium.verdicts import Verdict
 from netlab.traces.absences import absences
 from netlab.traces.carriage import ARRIVED, Carriage, carriage
 from netlab.traces.causes import Cause, Stretch, merged, painted
-from netlab.traces.daemon_log import QueuedMessage
+from netlab.traces.daemon_log import ACKED, QueuedMessage, StoredMessage
 from netlab.traces.evidence import Departure, Evidence
 from netlab.traces.model import Published, Stream, Trace
 from netlab.traces.transit import frame_ns, transit
@@ -69,9 +69,11 @@ class Account:
         message: QueuedMessage,
         *,
         end_ns: int,
+        is_delivered: bool,
     ) -> None:
         self._trace, self._evidence, self._stream = trace, evidence, stream
         self._published, self._message, self._end_ns = published, message, end_ns
+        self._is_delivered = is_delivered
         meetings = trace.daemons.meetings.get((stream.source, stream.destination), [])
         tags = {meeting.epoch & 0xFFFFFFFF for meeting in meetings}
         self.lane = Sender(trace, evidence, message, tags, self._frame_ns)
@@ -119,9 +121,10 @@ class Account:
             return None
         arrivals = {index: self.arrived_ns(index) for index in range(self._message.fragment_count)}
         missing = [index for index, t_ns in arrivals.items() if t_ns is None]
-        if missing:
+        seen = {index: t_ns for index, t_ns in arrivals.items() if t_ns is not None}
+        if missing and not (self._is_delivered and seen):  # of a delivered one, the capture has missed something
             return missing[0]
-        return max(arrivals, key=lambda index: (arrivals[index] or 0, index))
+        return max(seen, key=lambda index: (seen[index], index))
 
     def bringing(self, index: int | None) -> Attempt | None:
         """The attempt with which a fragment arrived first."""
@@ -160,21 +163,24 @@ class Account:
 
     def _before_queue(self) -> list[Stretch]:
         message, start_ns = self._message, self._published.t_ns
-        if message.stored_ns is None:
-            return [Stretch(start_ns, message.queued_ns, Cause.HANDOVER, f"to the daemon of {self._stream.source}")]
-        return [
-            Stretch(start_ns, message.stored_ns, Cause.HANDOVER, f"into the store of {self._stream.source}"),
-            Stretch(message.stored_ns, message.queued_ns, Cause.QUEUE, "in the store"),
-        ]
+        source = self._stream.source
+        if message.stored is None:
+            return [Stretch(start_ns, message.queued_ns, Cause.HANDOVER, f"to the daemon of {source}")]
+        return in_store(source, start_ns, message.stored, message.queued_ns)
 
     def _held(self, left_ns: int) -> list[Stretch]:
         message, start_ns = self._message, self._message.queued_ns
         if not message.held:
-            return self.lane.wait(start_ns, left_ns)
+            return self._wait(start_ns, left_ns)
         end_ns = min(message.released_ns or left_ns, left_ns)
         until = "until" if message.released_ns is not None else "to its end at"
         words = f"the rate limit of {message.topic} held it back {until} {self._trace.seconds(end_ns):.3f} s"
-        return [Stretch(start_ns, end_ns, Cause.RATE_LIMIT, words), *self.lane.wait(end_ns, left_ns)]
+        return [Stretch(start_ns, end_ns, Cause.RATE_LIMIT, words), *self._wait(end_ns, left_ns)]
+
+    def _wait(self, from_ns: int, left_ns: int) -> list[Stretch]:
+        if not self.attempts and (self._is_delivered or self._message.outcome == ACKED):
+            return [Stretch(from_ns, left_ns, Cause.UNEXPLAINED, "no packet of it can be read")]
+        return self.lane.wait(from_ns, left_ns)
 
     def _failed(self, attempt: Attempt, following: Attempt | None) -> Stretch:
         departure = attempt.departure
@@ -209,6 +215,14 @@ class Account:
         if whole_ns is None or whole_ns > self._end_ns:
             return f"inside {destination}"
         return f"inside {destination}: put together at {self._trace.seconds(whole_ns):.6f} s, then to the application"
+
+
+def in_store(source: str, published_ns: int, stored: StoredMessage, end_ns: int) -> list[Stretch]:
+    """The time of a message in its sender's store, before the transport had it."""
+    return [
+        Stretch(published_ns, stored.stored_ns, Cause.HANDOVER, f"into the store of {source}"),
+        Stretch(stored.stored_ns, end_ns, Cause.QUEUE, f"in the store of {source}"),
+    ]
 
 
 def _clipped(stretches: list[Stretch], start_ns: int, end_ns: int) -> list[Stretch]:

@@ -11,8 +11,23 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 ACKED = "acked"
+CONFIRMED = "confirmed"
 SENDER_RESTARTED = "sender_restarted"
 _COPY_WITHIN_NS = 1_000_000_000  # between a daemon's event and its packet; a restarted daemon begins its numbers anew
+
+
+@dataclass(slots=True)
+class StoredMessage:
+    """One message that a node's store has had safe for one destination.
+
+    ``outcome``: ``confirmed``, a reason to drop it, or None while it waits. ``was_queued``: the transport was given it.
+    """
+
+    stored_ns: int
+    sequence: int
+    ended_ns: int | None = None
+    outcome: str | None = None
+    was_queued: bool = False
 
 
 @dataclass(slots=True)
@@ -21,7 +36,7 @@ class QueuedMessage:
 
     Attributes:
         message_id: As the publisher was told; ``wire_ids`` has those that followed when it was begun anew, with times.
-        stored_ns: When the node's store had it, before the transport was given it; None for a message of no store.
+        stored: In the node's store, from before the transport was given it; None for a message of no store.
         held: Whether the topic's rate limit kept it back.
         released_ns: When the rate limit let it go; None if it never held it, or holds it still.
         ended_ns: When it was acknowledged or dropped; None while it waits, and for broadcasts, whose end nobody tells.
@@ -36,7 +51,7 @@ class QueuedMessage:
     size_bytes: int
     fragment_count: int
     queued_ns: int
-    stored_ns: int | None = None
+    stored: StoredMessage | None = None
     held: bool = False
     released_ns: int | None = None
     ended_ns: int | None = None
@@ -98,9 +113,10 @@ class DaemonLog:
     meetings: dict[tuple[str, str], list[Meeting]] = field(default_factory=lambda: defaultdict(list))
     drops: list[Dropped] = field(default_factory=list)
     copied: dict[tuple[str, str, int, int, int], list[int]] = field(default_factory=lambda: defaultdict(list))
+    stored: dict[tuple[str, str, str], list[StoredMessage]] = field(default_factory=lambda: defaultdict(list))
+    """By node, peer and topic, in order."""
     events_lost: int = 0
     _open: dict[tuple[str, str, int], QueuedMessage] = field(default_factory=dict)
-    _stored: dict[tuple[str, str, str, int], list[int]] = field(default_factory=lambda: defaultdict(list))
 
     def take(self, t_ns: int, node: str, event: Mapping[str, object]) -> None:
         """Take one event of a node's daemon; those that tell nothing of this are ignored."""
@@ -119,10 +135,12 @@ class DaemonLog:
                 number, index = _number(event, "packet_number"), _number(event, "fragment_index")
                 self.copied[node, _text(event, "peer"), number, _number(event, "message_id"), index].append(t_ns)
             case "message_stored":
-                key_of_store = (node, _text(event, "peer"), _text(event, "topic"), _number(event, "size_bytes"))
-                self._stored[key_of_store].append(t_ns)
-            case "stored_dropped":
-                self._drop(t_ns, node, event, is_stored=True)
+                kept = StoredMessage(t_ns, _number(event, "sequence"))
+                self.stored[node, _text(event, "peer"), _text(event, "topic")].append(kept)
+            case "message_confirmed" | "stored_dropped" as end:
+                self._end_stored(t_ns, node, event)
+                if end == "stored_dropped":
+                    self._drop(t_ns, node, event, is_stored=True)
             case "partial_purged" if event.get("is_settled") is not True:
                 peer, topic = _text(event, "source"), ""
                 self.drops.append(Dropped(t_ns, node, peer, topic, None, 0, "partial_purged", is_partial=True))
@@ -164,8 +182,10 @@ class DaemonLog:
         message = QueuedMessage(
             node, peer, message_id, topic, priority, size_bytes, _number(event, "fragment_count"), t_ns
         )
-        stored = self._stored.get((node, peer, topic, size_bytes))
-        message.stored_ns = stored.pop(0) if stored else None
+        kept = self.stored.get((node, peer, topic), [])
+        message.stored = next((entry for entry in kept if not entry.was_queued and entry.ended_ns is None), None)
+        if message.stored is not None:
+            message.stored.was_queued = True
         forgotten = self._open.get((node, peer, message_id))
         if forgotten is not None:  # ids begin anew after a start
             self.restart(t_ns, node)
@@ -194,6 +214,12 @@ class DaemonLog:
                 message.ended_ns, message.outcome = t_ns, _text(event, "reason")
                 message.may_have_arrived = event.get("may_have_arrived") is True
                 del self._open[key]
+
+    def _end_stored(self, t_ns: int, node: str, event: Mapping[str, object]) -> None:
+        sequence, reason = _number(event, "sequence"), _text(event, "reason") or CONFIRMED
+        for entry in self.stored.get((node, _text(event, "peer"), _text(event, "topic")), []):
+            if entry.sequence == sequence:
+                entry.ended_ns, entry.outcome = t_ns, reason
 
     def _drop(self, t_ns: int, node: str, event: Mapping[str, object], *, is_stored: bool = False) -> None:
         peer, topic, reason = _text(event, "peer"), _text(event, "topic"), _text(event, "reason")

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from itertools import islice
 
-from netlab.capture.decoders import LINKTYPE_ETHERNET, mesh_of, peel, traffic_of, udp_of
+from netlab.capture.decoders import LINKTYPE_ETHERNET, mesh_of, peel, traffic_in, udp_of
 from netlab.capture.reader import Capture
 from netlab.capture.records import Kind, PacketRecord, VerdictRecord
 from netlab.capture.schemas import Direction
@@ -212,7 +212,7 @@ def _note(found: Evidence, mesh: Dissection, sighting: Sighting) -> None:
     if sighting.is_outbound and not mesh.is_bridged:
         found.epochs.add(mesh.epoch)
         for piece in mesh.fragments:
-            header = traffic_of(piece.payload) if piece.topic is not None else None
+            header = traffic_in(piece)
             found.departures.append(
                 Departure(
                     sighting.t_ns,

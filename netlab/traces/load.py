@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from netlab.capture.decoders import mesh_of, traffic_of, udp_of
+from netlab.capture.decoders import mesh_of, traffic_in, udp_of
 from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, PacketRecord, VerdictRecord
 from netlab.capture.schemas import Direction
@@ -139,7 +139,7 @@ class _Loader:
         self._nodes[tag_of(mesh.epoch)] = record.node
         for piece in mesh.fragments:
             key = (record.node, mesh.epoch, piece.message_id)
-            if piece.topic is not None and (header := traffic_of(piece.payload)):
+            if header := traffic_in(piece):
                 self._messages[key] = (header.stream, header.seq)
             self._tags.append(0 if mesh.is_broadcast else mesh.destination_tag)
             self._packet_numbers.append(mesh.packet_number)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
 
 from netlab.traces.carriage import carriage
-from netlab.traces.evidence import Evidence
+from netlab.traces.evidence import Departure, Evidence
 from netlab.traces.model import Trace
 
 
@@ -30,28 +31,41 @@ class Route:
         return "did not arrive" if self.relays is None else " > ".join((self.source, *self.relays, self.destination))
 
 
-def routes(trace: Trace, evidence: Evidence, destinations: Collection[str]) -> list[Route]:
-    """Count the datagrams with data that the evidence's node sent, by destination and way; the busiest way first."""
-    tags = _tags(trace, evidence.node)
-    found: dict[tuple[str, tuple[str, ...] | None], Route] = {}
-    seen: set[tuple[tuple[int, int], str]] = set()
-    for departure in evidence.departures:
-        told = tags.get(departure.destination_tag)
-        for destination in destinations if departure.destination_tag == 0 else [told]:
-            if destination is None or destination not in destinations or (departure.packet, destination) in seen:
-                continue
-            seen.add((departure.packet, destination))
-            carried = carriage(trace, evidence, departure.packet, destination, left_ns=departure.t_ns)
-            relays = carried.relays if carried.arrived_ns is not None else None
-            route = found.setdefault((destination, relays), Route(evidence.node, destination, relays))
-            route.datagrams += 1
-            route.first_ns, route.last_ns = route.first_ns or departure.t_ns, departure.t_ns
-    totals: dict[str, int] = {}
-    for route in found.values():
-        totals[route.destination] = totals.get(route.destination, 0) + route.datagrams
-    for route in found.values():
-        route.ratio = route.datagrams / totals[route.destination]
-    return sorted(found.values(), key=lambda route: (route.destination, -route.datagrams))
+class Routes:
+    """Counts datagrams with data by destination and way. A long run is taken in slices of time, in any order."""
+
+    def __init__(self, trace: Trace) -> None:
+        self._trace = trace
+        self._found: dict[tuple[str, str, tuple[str, ...] | None], Route] = {}
+
+    def take(self, evidence: Evidence, destinations: Collection[str], *, until_ns: int) -> None:
+        """Count what the evidence's node sent before ``until_ns``; what is on its way then needs evidence beyond."""
+        tags, seen = _tags(self._trace, evidence.node), set[tuple[tuple[int, int], str]]()
+        for departure in evidence.departures:
+            if departure.t_ns >= until_ns:
+                return
+            told = tags.get(departure.destination_tag, "")
+            for destination in destinations if departure.destination_tag == 0 else {told} & set(destinations):
+                if (departure.packet, destination) not in seen:
+                    seen.add((departure.packet, destination))
+                    self._count(evidence, departure, destination)
+
+    def _count(self, evidence: Evidence, departure: Departure, destination: str) -> None:
+        carried = carriage(self._trace, evidence, departure.packet, destination, left_ns=departure.t_ns)
+        relays = carried.relays if carried.arrived_ns is not None else None
+        key = (evidence.node, destination, relays)
+        route = self._found.setdefault(key, Route(*key, first_ns=departure.t_ns))
+        route.datagrams += 1
+        route.first_ns, route.last_ns = min(route.first_ns, departure.t_ns), max(route.last_ns, departure.t_ns)
+
+    def result(self) -> list[Route]:
+        """All ways, by source and destination; the busiest first."""
+        totals: Counter[tuple[str, str]] = Counter()
+        for route in self._found.values():
+            totals[route.source, route.destination] += route.datagrams
+        for route in self._found.values():
+            route.ratio = route.datagrams / totals[route.source, route.destination]
+        return sorted(self._found.values(), key=lambda route: (route.source, route.destination, -route.datagrams))
 
 
 def _tags(trace: Trace, node: str) -> dict[int, str]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from netlab.capture.reader import Capture
 from netlab.traces.absences import absences
-from netlab.traces.account import Account, Attempt
-from netlab.traces.causes import Cause, Stretch
+from netlab.traces.account import Account, Attempt, in_store
+from netlab.traces.causes import Cause, Stretch, merged, painted
 from netlab.traces.daemon_log import ACKED, QueuedMessage
 from netlab.traces.evidence import Evidence, gather
-from netlab.traces.identity import by_order, queued_message
+from netlab.traces.identity import by_order, queued_message, stored_by_order
 from netlab.traces.model import EVERYBODY, Delivery, Published, Stream, Trace
 from netlab.traces.story import (
     Fate,
@@ -57,7 +57,7 @@ def story(trace: Trace, evidence: Evidence, stream: Stream, published: Published
     end_ns = _end_ns_of(delivery, message) or max(capture_end_ns, published.t_ns)
     if not published.accepted or message is None:
         return _short(trace, stream, published, delivery, end_ns)
-    account = Account(trace, evidence, stream, published, message, end_ns=end_ns)
+    account = Account(trace, evidence, stream, published, message, end_ns=end_ns, is_delivered=delivery is not None)
     brought = account.bringing(account.critical())
     fate, reason = _fate(account, message, delivery)
     return Story(
@@ -107,7 +107,14 @@ def _short(trace: Trace, stream: Stream, published: Published, delivery: Deliver
         notes += [s.words for s in away if s.from_ns <= published.t_ns < s.to_ns and s.words][:1]
     elif delivery is not None:
         fate = Fate.DELIVERED
-    parts = (Part(Cause.UNEXPLAINED, trace.seconds(published.t_ns), trace.seconds(end_ns), ""),)
+    stretches = [Stretch(published.t_ns, end_ns, Cause.UNEXPLAINED)]
+    stored = stored_by_order(trace, stream).get(published.seq)
+    if stored is not None and delivery is None:  # it never left the store
+        end_ns, notes = stored.ended_ns or end_ns, []
+        fate, reason = (Fate.DROPPED, stored.outcome or "") if stored.ended_ns else (fate, "")
+        away = absences(trace, stream.source, stream.destination)
+        stretches = painted(in_store(stream.source, published.t_ns, stored, end_ns), away)
+    parts = tuple(_plain_part(trace, stretch) for stretch in merged(stretches))
     return Story(
         stream,
         published.seq,
@@ -122,7 +129,7 @@ def _short(trace: Trace, stream: Stream, published: Published, delivery: Deliver
         0,
         (),
         None,
-        parts if end_ns > published.t_ns else (),
+        parts,
         (),
         typical_s(trace, stream),
         tuple(notes),
@@ -139,6 +146,10 @@ def _fate(account: Account, message: QueuedMessage, delivery: Delivery | None) -
     if message.peer == EVERYBODY and account.attempts:
         return Fate.LOST, "broadcasts are not repeated"
     return Fate.UNDELIVERED, ""
+
+
+def _plain_part(trace: Trace, stretch: Stretch) -> Part:
+    return Part(stretch.cause, trace.seconds(stretch.from_ns), trace.seconds(stretch.to_ns), stretch.words)
 
 
 def _part(trace: Trace, account: Account, stretch: Stretch) -> Part:
@@ -188,7 +199,8 @@ def _notes(trace: Trace, evidence: Evidence, account: Account, message: QueuedMe
     notes = []
     if not account.attempts and message.outcome == ACKED:
         notes.append("no packet of it can be read: sealed by a key, or missing in the capture")
-    if not evidence.has_verdicts:
+    attempts = [attempt for tries in account.attempts.values() for attempt in tries]
+    if not evidence.has_verdicts and any(attempt.carried.arrived_ns is None for attempt in attempts):
         notes.append("this engine tells no verdicts: a frame that did not arrive was lost or found a queue full")
     if trace.daemons.events_lost:
         notes.append(f"{trace.daemons.events_lost} events of daemons are missing in the capture")

@@ -257,6 +257,46 @@ def test_ids_that_begin_again_after_a_restart_mean_other_messages(play: Play) ->
     assert len(found.fragments[0].transmissions) == 1
 
 
+def test_a_stored_message_waits_in_its_senders_store(play: Play) -> None:
+    play.event(0.05, "peer_down", epoch=EPOCHS["b"], reason="silent")
+    for seq, at_s in ((0, 0.1), (1, 0.2)):
+        play.publish(0, seq, at_s)
+        about = {"topic": "telemetry", "priority": 1, "size_bytes": 118}
+        play.event(at_s + 0.01, "message_stored", sequence=seq + 7, **about)
+    play.event(0.6, "stored_dropped", sequence=7, reason="expired", **about)
+    play.event(0.7, "peer_up", epoch=EPOCHS["b"], reason="returned")
+    play.queue(0, 5, 0.72, size_bytes=143)
+    play.send(0, 1, 0.72, message_id=5, number=1, arrives_s=0.72 + FRAME_S + 0.02)
+    play.receive(0, 1, 0.75, published_s=0.2, message_id=5, daemon_s=0.745)
+    found = story(play, seq=1)
+    assert parts(found)[:2] == [("peer_absent", 0.2, 0.7), ("queue", 0.7, 0.72)]
+    assert found.parts[1].words == "in the store of a"
+    with Capture.open(play.path) as capture:
+        trace = read_trace(capture, with_packets=False)
+        dropped = tell(capture, trace, trace.streams[0], trace.published[0][0])
+    assert (dropped.fate, dropped.reason, dropped.message_id) == (Fate.DROPPED, "expired", None)
+    assert parts(dropped) == [("peer_absent", 0.1, 0.6)]
+
+
+def test_a_message_of_which_no_packet_can_be_read(play: Play) -> None:
+    play.publish(0, 0, 0.1)
+    play.queue(0, 5, 0.11)
+    play.event(0.3, "message_acked", message_id=5)
+    play.receive(0, 0, 0.25, published_s=0.1, message_id=5, daemon_s=0.25)
+    found = story(play)
+    assert parts(found) == [("handover", 0.1, 0.11), ("unexplained", 0.11, 0.25)]
+    assert found.notes == ("no packet of it can be read: sealed by a key, or missing in the capture",)
+
+
+def test_of_a_delivered_message_a_fragment_may_be_missing_in_the_capture(play: Play) -> None:
+    play.publish(1, 0, 0.1)
+    play.queue(1, 4, 0.1, fragments=2)
+    play.send(1, 0, 0.1, message_id=4, number=1, count=2)
+    play.send(1, 0, 0.11, message_id=4, number=2, index=1, count=2, arrives_s=0.14)
+    play.receive(1, 0, 0.15, published_s=0.1, message_id=4, daemon_s=0.15)
+    assert story(play, 1).critical_index == 1
+
+
 FATES: list[tuple[dict[str, Any], Fate, str, str]] = [
     ({"accepted": False, "reason": "queue_full"}, Fate.REFUSED, "queue_full", "refused at once: queue_full"),
     ({"dropped": "expired"}, Fate.DROPPED, "expired", "given up by its sender 0.600 s (500.0 ms later): expired"),
