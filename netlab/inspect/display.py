@@ -14,9 +14,9 @@ from netlab.capture.export import export_pcapng
 from netlab.capture.reader import Capture
 from netlab.capture.records import Kind, PacketRecord
 from netlab.errors import NetlabError
+from netlab.wireshark.plugin import dissectors
 
 _INSTALL = "sudo apt-get install tshark"
-_DISSECTORS = Path(__file__).parents[1] / "wireshark" / "lua"  # of what netlab's own protocols put on the wire
 
 
 class DisplayFilterError(NetlabError):
@@ -38,7 +38,7 @@ def matching(capture: Capture, expression: str) -> Iterator[Iterator[PacketRecor
     with tempfile.TemporaryDirectory(prefix="netlab-display-") as folder:
         exported = Path(folder) / "packets.pcapng"
         export_pcapng(capture, exported)
-        scripts = [word for path in sorted(_DISSECTORS.glob("*.lua")) for word in ("-X", f"lua_script:{path}")]
+        scripts = [word for path in dissectors() for word in ("-X", f"lua_script:{path}")]
         command = [tshark, "-2", "-r", str(exported), *scripts, "-Y", expression, "-T", "fields", "-e", "frame.number"]
         # A home of its own: dissectors that are installed there, too, would be registered twice.
         environment = {**os.environ, "HOME": folder, "XDG_CONFIG_HOME": folder}

@@ -71,7 +71,13 @@ def why(asked: Asked, message: str) -> Iterator[str]:
 
 
 def conversations(asked: Asked) -> Iterator[str]:
-    """Who talked to whom."""
+    """Who talked to whom.
+
+    Raises:
+        NetlabError: Messages are chosen; frames of one topic have no conversation of their own.
+    """
+    if asked.chosen.chooses_messages:
+        raise NetlabError("--conversations counts frames: --node, --peer, --from and --to choose among them, no topic")
     with Capture.open(asked.file) as capture:
         trace = read_trace(capture, with_packets=False)
         found = Conversations(trace)
@@ -132,8 +138,9 @@ def routes(asked: Asked) -> Iterator[str]:
             upto_ns = end_ns + _LONGEST_WAY_NS
             evidence = gather_all(capture, sources, start_ns=start_ns, end_ns=upto_ns, with_verdicts=False)
             for source in sources:
-                destinations = {stream.destination for stream in streams if stream.source == source}
-                found.take(evidence[source], destinations, until_ns=end_ns)
+                ours = [stream for stream in streams if stream.source == source]
+                destinations, topics = {stream.destination for stream in ours}, {stream.topic for stream in ours}
+                found.take(evidence[source], destinations, until_ns=end_ns, topics=topics)
         _note_all(asked, capture.notes)
     yield from _table(asked, answers.routes_table(trace, found.result()))
 

@@ -168,6 +168,12 @@ class DaemonLog:
         """Whether a fragment that left at ``t_ns`` was such a copy; ``key`` as of :attr:`copied`."""
         return any(abs(t_ns - told_ns) < _COPY_WITHIN_NS for told_ns in self.copied.get(key, ()))
 
+    def topic_of(self, node: str, wire_id: int, t_ns: int) -> str:
+        """The topic of a message of which a fragment left at that time; empty if its daemon never told."""
+        queued = self.queued.get(node, [])
+        index = bisect_right(queued, t_ns, key=lambda message: message.queued_ns)
+        return next((m.topic for m in reversed(queued[:index]) if wire_id in m.ids_on_wire), "")
+
     def waiting(self, node: str, t_ns: int) -> Iterator[QueuedMessage]:
         """The messages for peers that a node had in its queue at a time; broadcasts cannot be told from events."""
         for message in self.queued.get(node, []):

@@ -38,17 +38,26 @@ class Routes:
         self._trace = trace
         self._found: dict[tuple[str, str, tuple[str, ...] | None], Route] = {}
 
-    def take(self, evidence: Evidence, destinations: Collection[str], *, until_ns: int) -> None:
-        """Count what the evidence's node sent before ``until_ns``; what is on its way then needs evidence beyond."""
+    def take(
+        self, evidence: Evidence, destinations: Collection[str], *, until_ns: int, topics: Collection[str]
+    ) -> None:
+        """Count what the evidence's node sent of these topics before ``until_ns``; the evidence must reach beyond."""
         tags, seen = _tags(self._trace, evidence.node), set[tuple[tuple[int, int], str]]()
         for departure in evidence.departures:
             if departure.t_ns >= until_ns:
                 return
+            if self._topic(departure) not in topics:
+                continue
             told = tags.get(departure.destination_tag, "")
             for destination in destinations if departure.destination_tag == 0 else {told} & set(destinations):
                 if (departure.packet, destination) not in seen:
                     seen.add((departure.packet, destination))
                     self._count(evidence, departure, destination)
+
+    def _topic(self, departure: Departure) -> str:
+        if departure.topic is not None:
+            return departure.topic
+        return self._trace.daemons.topic_of(departure.node, departure.message_id, departure.t_ns)
 
     def _count(self, evidence: Evidence, departure: Departure, destination: str) -> None:
         carried = carriage(self._trace, evidence, departure.packet, destination, left_ns=departure.t_ns)

@@ -72,7 +72,6 @@ class Sender:
         self._own_ids = message.ids_on_wire
         self._lane = [d for d in evidence.departures if d.destination_tag in tags or d.destination_tag == 0]
         self._seqs = {(d.packet[0], d.message_id): d.traffic for d in evidence.departures if d.traffic is not None}
-        self._queued = trace.daemons.queued.get(message.node, [])
 
     def wait(self, from_ns: int, to_ns: int) -> list[Stretch]:
         """Divide the time in which a fragment of the message waited to leave, up to its departure."""
@@ -140,14 +139,9 @@ class Sender:
 
     def _ahead(self, departure: Departure, fragments: int, payload_bytes: int) -> Ahead:
         told = self._seqs.get((departure.packet[0], departure.message_id))
-        topic = departure.topic or self._topic_of(departure)
+        topic = departure.topic or self._trace.daemons.topic_of(departure.node, departure.message_id, departure.t_ns)
         seq = told[1] if told else None
         return Ahead(topic, departure.priority, departure.message_id, seq, fragments, payload_bytes)
-
-    def _topic_of(self, departure: Departure) -> str:
-        index = bisect_right(self._queued, departure.t_ns, key=lambda message: message.queued_ns)
-        fitting = (m.topic for m in reversed(self._queued[:index]) if departure.message_id in m.ids_on_wire)
-        return next(fitting, "")
 
 
 class _Own:

@@ -167,6 +167,7 @@ def test_conversations(run: Path) -> None:
     assert talk["bytes_ab"] == 3 * 207
     assert (talk["first_s"], talk["last_s"]) == pytest.approx((0.1, 0.4))
     assert rows(run, "--conversations", "--node", "z") == []
+    assert "counts frames" in complaint(run, "--conversations", "--topic", "telemetry")
     assert rows(run, "--conversations", "--from", "350ms")[0]["frames_ab"] == 1
 
 
@@ -187,6 +188,8 @@ def test_routes(run: Path) -> None:
     found = rows(run, "--routes")
     assert [(row["way"], row["datagrams"]) for row in found] == [("a > b", 2), ("did not arrive", 1)]
     assert [row["ratio"] for row in found] == pytest.approx([2 / 3, 1 / 3])
+    assert rows(run, "--routes", "--topic", "bulk") == []
+    assert [row["datagrams"] for row in rows(run, "--routes", "--topic", "telemetry", "--from", "350ms")] == [1]
 
 
 def test_one_question_at_a_time(run: Path) -> None:
@@ -213,6 +216,7 @@ class TestDisplayFilters:
         (line,) = text(run, "--display", 'frame.interface_name == "a/eth0"', "--from", "350ms").splitlines()
         assert line.split()[0] == "0.400000"
         assert text(run, "--display", "tcp") == ""
+        assert len(text(run, "--display", 'udp_mesh.topic == "telemetry"').splitlines()) == 5
         assert "nosuch" in complaint(run, "--display", "nosuch.field")
         assert "it does not go with --kind events" in complaint(run, "--display", "udp", "--kind", "events")
 
