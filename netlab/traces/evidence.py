@@ -1,8 +1,8 @@
 """The packets of a stretch of time, sorted by what they prove: who sent which fragment when, where each datagram was
 seen, what the medium decided on each frame, who acknowledged what.
 
-A udp_mesh datagram is known by (sender's epoch, packet number) wherever it is seen: on its way it may travel inside
-frames of a mesh, and change addresses at a bridge.
+A udp_mesh datagram is known by its sender's epoch, its number and its destination wherever it is seen: on its way it
+may travel inside frames of a mesh, and change addresses at a bridge.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from netlab.medium.verdicts import Verdict
 from netlab.traces.model import Interface
 from udp_mesh.core.wire import Dissection
 
-PacketId = tuple[int, int]  # sender's epoch, packet number
+PacketId = tuple[int, int, int]  # sender's epoch, packet number, destination's tag: each destination has its numbers
 _DECIDED_WITHIN_NS = 500_000_000
 _STAMP_SLACK_NS = 1_000_000
 
@@ -162,7 +162,7 @@ def gather_all(
             if record.node in found and not sighting.mesh:
                 _note(found[record.node], mesh, sighting)
             if mesh.fragments:
-                seen.append(((mesh.epoch, mesh.packet_number), sighting))
+                seen.append((_id(mesh), sighting))
     _sort_out(list(found.values()), seen, verdicts)
     return found
 
@@ -217,7 +217,7 @@ def _note(found: Evidence, mesh: Dissection, sighting: Sighting) -> None:
                 Departure(
                     sighting.t_ns,
                     found.node,
-                    (mesh.epoch, mesh.packet_number),
+                    _id(mesh),
                     piece.message_id,
                     piece.fragment_index,
                     piece.fragment_count,
@@ -231,6 +231,10 @@ def _note(found: Evidence, mesh: Dissection, sighting: Sighting) -> None:
     elif not sighting.is_outbound:
         found.acks += [AckHeard(sighting.t_ns, mesh.epoch, ack.ranges) for ack in mesh.acks]
         found.backlogs += [BacklogHeard(sighting.t_ns, mesh.epoch, priority) for priority in mesh.backlogs]
+
+
+def _id(mesh: Dissection) -> PacketId:
+    return mesh.epoch, mesh.packet_number, 0 if mesh.is_broadcast else mesh.destination_tag
 
 
 def _decision(record: VerdictRecord) -> Decision:

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from netlab.traces.carriage import carriage
-from netlab.traces.evidence import Departure, Evidence
+from netlab.traces.evidence import Departure, Evidence, PacketId
 from netlab.traces.model import Trace
 
 
@@ -42,7 +42,7 @@ class Routes:
         self, evidence: Evidence, destinations: Collection[str], *, until_ns: int, topics: Collection[str]
     ) -> None:
         """Count what the evidence's node sent of these topics before ``until_ns``; the evidence must reach beyond."""
-        tags, seen = _tags(self._trace, evidence.node), set[tuple[tuple[int, int], str]]()
+        tags, seen = _tags(self._trace, evidence.node), set[tuple[PacketId, str]]()
         for departure in evidence.departures:
             if departure.t_ns >= until_ns:
                 return

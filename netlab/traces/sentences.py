@@ -13,7 +13,7 @@ _LATE = {
     Cause.PACING: "its sender's window or pace had no room",
     Cause.YIELDING: "its sender left the medium to a more urgent backlog elsewhere",
     Cause.SENDING: "its own fragments took their time to leave",
-    Cause.LOSS: "frames were lost on the way and sent again",
+    Cause.LOSS: "frames were lost on the way",
     Cause.QUEUE_FULL: "the link's queue was full, and what it dropped was sent again",
     Cause.OUTAGE: "the link was cut",
     Cause.OUT_OF_RANGE: "the nodes were out of range of each other",
@@ -66,7 +66,8 @@ def because(story: Story) -> str:
         return _not_late(story)
     ranked = [share for share in story.shares if share.cause not in INHERENT]
     first, others = ranked[0], [share for share in ranked[1:] if share.ratio >= _LEAST_SHARE]
-    text = f"{_opening(story)}: {_LATE[first.cause]} ({_amount(first)})."
+    again = " and sent again" if first.cause is Cause.LOSS and story.fate is Fate.DELIVERED else ""
+    text = f"{_opening(story)}: {_LATE[first.cause]}{again} ({_amount(first)})."
     if others:
         text += f" Also {', '.join(f'{_short(share.cause)} ({_amount(share)})' for share in others)}."
     return text

@@ -51,7 +51,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def ask(run: Path, *arguments: str) -> Result:
-    return CliRunner().invoke(inspect, [str(run), *arguments])
+    return CliRunner().invoke(inspect, [str(run), *arguments], env={"COLUMNS": "100"})
 
 
 def text(run: Path, *arguments: str) -> str:
@@ -178,10 +178,14 @@ def test_conversations_tell_protocols_and_everybody_apart(tmp_path: Path) -> Non
     play.packet("a", 0.1, to_b + b"\x08\x00" + ip + bytes.fromhex("c0001d17") + bytes(36), Direction.OUTBOUND)
     play.packet("a", 0.2, broadcast + b"\x08\x06" + bytes(28), Direction.OUTBOUND)
     play.packet("b", 0.21, broadcast + b"\x08\x06" + bytes(28), Direction.INBOUND)
+    play.packet("a", 0.3, to_b + b"\x08\x06" + bytes(28), Direction.OUTBOUND)
     play.writer.close()
     found = {(row["a"], row["b"], row["protocol"]): row for row in rows(play.path, "--conversations")}
-    assert set(found) == {("a", "10.9.0.9", "TCP 7447"), ("a", "all", "ARP")}, "no node has that address"
+    assert set(found) == {("a", "10.9.0.9", "TCP 7447"), ("a", "all", "ARP"), ("a", "b", "ARP")}, (
+        "no node has that address"
+    )
     assert found["a", "all", "ARP"]["missing_ab"] is None
+    assert found["a", "b", "ARP"]["arrived_ab"] == 0, "what was meant for all is no arrival of it"
 
 
 def test_routes(run: Path) -> None:

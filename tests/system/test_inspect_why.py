@@ -54,7 +54,7 @@ def told(capture: Path, message: str, **filters: Any) -> Story:
 
 
 def look(capture: Path, *arguments: str) -> str:
-    result = CliRunner().invoke(inspect, [str(capture), *arguments])
+    result = CliRunner().invoke(inspect, [str(capture), *arguments], env={"COLUMNS": "100"})
     assert result.exit_code == 0, result.output + repr(result.exception)
     return result.stdout
 
@@ -129,7 +129,7 @@ def test_an_outage_and_whom_it_takes_along(make_lab: MakeLab) -> None:
     assert outage.words.startswith("outage between robot1 and base from 1.5")
     assert times_in(outage.words) == pytest.approx([1.5, 3.5], abs=0.3)
     assert outage.to_s == pytest.approx(times_in(outage.words)[1], abs=0.001)
-    assert {share.cause for share in story.shares} >= {Cause.RECONNECT, Cause.PROPAGATION}
+    assert {share.cause for share in story.shares} >= {Cause.OUTAGE, Cause.RECONNECT}
     assert because(story).startswith(f"Late: the link was cut ({1000 * outage.duration_s:.1f} ms, ")
 
     refused = told(capture, "lost", topic="telemetry", from_s=2.5, to_s=3.4)

@@ -15,7 +15,7 @@ from netlab.traces.load import read_trace
 from netlab.traces.sentences import because, fate_text
 from netlab.traces.story import Fate, Sending, Story
 from netlab.traces.tell import tell
-from tests.traces.captures import EPOCHS, Play, data
+from tests.traces.captures import EPOCHS, Play, data, frame
 from udp_mesh.core import wire
 
 FRAME_S = 0.001656  # 207 bytes at 1 Mbit/s
@@ -242,6 +242,18 @@ def test_a_more_urgent_backlog_elsewhere(play: Play) -> None:
     found = story(play, 1)
     assert parts(found)[:2] == [("pacing", 0.1, 0.12), ("yielding", 0.12, 0.3)]
     assert found.parts[1].words == "b had something of priority 2 waiting"
+
+
+def test_each_destination_has_its_own_packet_numbers(play: Play) -> None:
+    play.publish(0, 0, 0.1)
+    play.queue(0, 5, 0.1)
+    play.send(0, 0, 0.1, message_id=5, number=1, verdict=Verdict.LOST)
+    broadcast = frame("a", data(1, 0, message_id=9), number=1, broadcast=True)
+    play.packet("a", 0.15, broadcast, Direction.OUTBOUND)
+    play.packet("b", 0.17, broadcast, Direction.INBOUND)
+    play.send(0, 0, 0.2, message_id=5, number=2, arrives_s=0.2 + FRAME_S + 0.02)
+    play.receive(0, 0, 0.23, published_s=0.1, message_id=5, daemon_s=0.23)
+    assert parts(story(play))[0] == ("loss", 0.1, 0.2)
 
 
 def test_ids_that_begin_again_after_a_restart_mean_other_messages(play: Play) -> None:
