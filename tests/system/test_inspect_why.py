@@ -157,7 +157,7 @@ def test_a_receivers_restart(make_lab: MakeLab) -> None:
     bulk = {"topic": "map", "priority": 5, "size": "150kB", "rate": "1Hz"}
     kill = {"at": "1.4s", "kill": {"node": "base", "process": "udp_mesh"}, "restart": "1s"}
     capture = recorded(make_lab, scenario(bulk, rate="2mbit", duration="5s", events=[kill]))
-    story = told(capture, "slowest")
+    story = told(capture, "slowest", to_s=1.4)
     assert (story.fate, story.cause) == (Fate.DELIVERED, Cause.RESTART), because(story)
     (part, *_) = [part for part in story.parts if part.cause is Cause.RESTART]
     assert part.words.startswith("the daemon of base was killed at 1.4")
@@ -232,7 +232,7 @@ def test_which_relay_carried_it(make_lab: MakeLab) -> None:
         "events": [{"at": "2s", "outage": {"between": ["relay1", "base"], "for": "10s"}}],
     }
     capture = recorded(make_lab, what)
-    before, after = told(capture, "telemetry", to_s=1.5), told(capture, "telemetry", from_s=2.5)
+    before, after = told(capture, "telemetry", to_s=1.5), told(capture, "telemetry", from_s=2.5, to_s=3.5)
     assert before.relays == ("relay1",)
     assert after.relays == ("relay2",)
     assert [(hop.sender, hop.receiver) for hop in after.fragments[0].transmissions[-1].hops] == [
@@ -241,7 +241,7 @@ def test_which_relay_carried_it(make_lab: MakeLab) -> None:
     ]
     propagation = sum(part.duration_s for part in after.parts if part.cause is Cause.PROPAGATION)
     assert propagation == pytest.approx(0.04, abs=0.001)
-    assert "its way  robot1 > relay2 > base" in look(capture, "--why", "telemetry", "--from", "2.5s")
+    assert "its way  robot1 > relay2 > base" in look(capture, "--why", "telemetry", "--from", "2.5s", "--to", "3.5s")
     rows = [json.loads(line) for line in look(capture, "--routes", "--json", "--to", "3.9s").splitlines()]
     ways = {row["relays"]: row for row in rows if row["source"] == "robot1" and row["destination"] == "base"}
     assert ways["relay1"]["last_s"] == pytest.approx(2.0, abs=0.2)
