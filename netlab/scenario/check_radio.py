@@ -57,6 +57,11 @@ def _waves(scenario: Scenario) -> Iterator[Problem]:
     if radio is not None and physics is not None and physics.needs_terrain and scenario.terrain is None:
         what = f"model {radio.propagation.model} is about tunnels, and there are none"
         yield ("radio", "propagation", "model"), f"{what}; add terrain, or use log_distance"
+    if radio is not None and physics is not None and not physics.knows_materials and scenario.terrain is not None:
+        for index, tunnel in enumerate(scenario.terrain.tunnels):
+            if tunnel.material is not None:
+                what = f"propagation model {radio.propagation.model} does not know what tunnels are made of"
+                yield ("terrain", "tunnels", index, "material"), f"{what}; use model: tunnel, or remove material"
     for name, node in scenario.nodes.items():
         if isinstance(node.radio, tuple) and physics is None:
             what = "a radio of its own means nothing here" if radio is not None else "there is no radio"

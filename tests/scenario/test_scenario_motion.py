@@ -141,7 +141,14 @@ def test_tunnels_that_do_not_meet_are_told_by_the_way_that_is_missing() -> None:
         ("{name: a, path: [[0, 0], [9, 0]], width: 4}", "tunnels[0].width: 4 has no unit; write a length like 4m"),
         ("{name: a, path: [[0, 0], [9, 0]], width: 0m}", "tunnels[0].width: '0m' is impossible; it must be above zero"),
         ("{name: a, path: [[0, 0], [9, 0]]}", "tunnels[0].width: is missing; add it"),
-        ("{name: a, path: [[0, 0], [9, 0]], width: 4m, material: coal}", "tunnels[0].material: is not available yet"),
+        (
+            "{name: a, path: [[0, 0], [9, 0]], width: 4m, material: limstone}",
+            "tunnels[0].material: unknown material 'limstone'; did you mean 'limestone'?",
+        ),
+        (
+            "{name: a, path: [[0, 0], [9, 0]], width: 4m, material: {permittivity: 1}}",
+            "tunnels[0].material.permittivity: '1' is impossible; it must be above 1",
+        ),
     ],
 )
 def test_wrong_tunnels(tunnels: str, expected: str) -> None:
