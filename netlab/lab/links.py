@@ -9,6 +9,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from itertools import permutations
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
@@ -20,10 +21,6 @@ from netlab.lab.signals import Signals
 from netlab.medium.impairments import PERFECT, Impairment
 from netlab.medium.segments import Segment, SegmentKind
 from netlab.scenario.events import LinkChange
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,6 +39,7 @@ class Links:
         self._impairments: dict[Pair, Impairment | None] = {
             pair: segment.pairs.get(pair) for pair, segment in self._segment_of.items()
         }
+        self._out_of_range = {pair for pair, impairment in self._impairments.items() if impairment is None}
         self.signals = Signals(plan)
         self._heard: set[Pair] = set()  # as last described
         self._out: dict[str, set[Pair]] = {}  # who holds which pairs down
@@ -62,6 +60,8 @@ class Links:
                 raise LabError(problem)
         self._engine.set_pairs(changes)
         self._impairments.update(changes)
+        self._out_of_range |= {pair for pair, impairment in changes.items() if impairment is None}
+        self._out_of_range -= {pair for pair, impairment in changes.items() if impairment is not None}
 
     def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
         """Say how strongly the ports of a segment hear each other; see ``Engine.set_rssi``."""
@@ -134,6 +134,14 @@ class Links:
                 }
             )
         return rows
+
+    def heard(self, segment: Segment) -> NDArray[np.bool_]:
+        """Who hears whom of a segment with strengths, ``[sender, receiver]`` in the order of its ports."""
+        heard = self.signals.heard(segment)
+        place = {port: place for place, port in enumerate(segment.ports)}
+        for sender, receiver in self._out_of_range & set(permutations(segment.ports, 2)):
+            heard[place[sender], place[receiver]] = False
+        return heard
 
     def is_held(self, pair: Pair) -> bool:
         """Whether somebody holds the pair, or a cable at its ends, down."""

@@ -112,9 +112,9 @@ class Supervisor:
         self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
 
     def _plan_at_start(self) -> LabPlan:
-        """Put the radios that go by positions on the air; returns the plan of who hears whom then."""
+        """Put the radios whose strengths change on the air; returns the plan of who hears whom then."""
         radio = self._scenario.radio
-        if radio is None or radio.propagation.physics is None:
+        if radio is None or not radio.propagation.changes_with_time:
             return self.plan
         from netlab.lab.waves import let_radios_follow  # NumPy, which all other labs do without
 

@@ -1,12 +1,13 @@
-"""How strongly the radios of a running lab hear each other: the link budget of who is where, handed to the engine.
+"""How strongly the radios of a running lab hear each other as time goes on, handed to the engine tick by tick.
 
-Only for radios whose propagation model goes by positions; everybody else's strength is what the scenario says.
+The link budget of who is where, for radios whose propagation model goes by positions; what a file says, for those of
+measured tables (:mod:`netlab.lab.measured`). Everybody else's strength is what the scenario says.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from netlab.engines.base import LabPlan
@@ -14,6 +15,7 @@ from netlab.engines.plan import RADIO_PREFIX
 from netlab.errors import LabError
 from netlab.lab.contacts import ContactWatch
 from netlab.lab.links import Links
+from netlab.lab.measured import MeasuredWaves, WordsBetweenRows
 from netlab.lab.motion import Motion
 from netlab.lab.recording import Recording
 from netlab.medium.segments import Segment
@@ -55,41 +57,52 @@ class Waves:
 
 
 def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: Motion, recording: Recording) -> LabPlan:
-    """Set the strengths of all radios that go by positions, now and at every tick of the motion, and record them.
+    """Set what radios hear of one another, now and at every tick of the motion, and record it.
 
     Returns:
         The plan with only those pairs that hear each other at the start: who can be discovered.
     """
     assert scenario.radio is not None
-    physics = scenario.radio.propagation.physics
-    assert physics is not None
-    waves = Waves(scenario, plan, links, physics)
-    watches = [
-        (segment, ContactWatch(scenario, plan, segment, links, recording))
-        for segment in plan.segments
-        if segment.channel is not None
-    ]
+    propagation = scenario.radio.propagation
+    updates: list[Callable[[float], None]] = []
+    if (physics := propagation.physics) is not None:
+        waves = Waves(scenario, plan, links, physics)
+        updates.append(lambda at_s: waves.update(at_s, motion.tracks))
+        motion.always_ticks = physics.fading and physics.drift_hz > 0
+    else:
+        if propagation.strengths_change:
+            updates.append(MeasuredWaves(scenario, plan, links).update)
+        if propagation.interpolate:
+            updates.append(WordsBetweenRows(scenario, plan, links).update)
+        motion.always_ticks = True
+    watches = []
+    if physics is not None or propagation.strengths_change:
+        channels = (segment for segment in plan.segments if segment.channel is not None)
+        watches = [(segment, ContactWatch(scenario, plan, segment, links, recording)) for segment in channels]
     due_s = 0.0
+
+    def update(at_s: float) -> None:
+        for change in updates:
+            change(at_s)
+        for segment, watch in watches:
+            watch.update(links.heard(segment), at_s)
 
     def on_tick(at_s: float) -> None:
         nonlocal due_s
         with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
-            waves.update(at_s, motion.tracks)
-        for segment, watch in watches:
-            watch.update(links.signals.heard(segment), at_s)
+            update(at_s)
         if at_s >= due_s:
-            rows = links.describe(heard_only=True)
+            rows = links.describe(heard_only=bool(watches))
             recording.links(rows)
             due_s = at_s + max(_RECORD_EVERY_S, len(rows) / _MOST_ROWS_PER_S)
 
-    waves.update(0.0, motion.tracks)
-    for segment, watch in watches:
-        watch.update(links.signals.heard(segment), 0.0)
+    update(0.0)
+    motion.on_tick = on_tick
+    if not watches:
+        return plan
     motion.in_contact = lambda a, b: (
         scenario.joined(a, b) != ("radio",) or any(watch.is_made(a, b) for _, watch in watches)
     )
-    motion.on_tick = on_tick
-    motion.always_ticks = physics.fading and physics.drift_hz > 0
     return _heard_plan(plan, links)
 
 

@@ -77,7 +77,7 @@ def test_the_schema_has_every_model_with_its_words() -> None:
     assert set(MODEL_NAMES) <= set(words)
     assert "corner_loss" in words["tunnel"]
     assert "$defs/WallWords" in str(words["tunnel"]["walls"])
-    assert "Walls" in schema["$defs"]
+    assert "WallWords" in schema["$defs"]
 
 
 @pytest.mark.parametrize(

@@ -61,9 +61,7 @@ def test_an_arrival_in_the_instant_of_its_departure_may_be_recorded_first(air: A
     frame = MACS["b"] + MACS["a"] + b"\x08\x00now"
     for node, direction in ("bI", "bI", "aO", "aO", "bI"):
         air.see(node, frame, Direction.OUTBOUND if direction == "O" else Direction.INBOUND)
-    assert air.told() == {
-        "ab": (3, {Verdict.DELIVERED: 2, Verdict.DUPLICATED: 1}, 0)
-    }
+    assert air.told() == {"ab": (3, {Verdict.DELIVERED: 2, Verdict.DUPLICATED: 1}, 0)}
 
 
 def test_an_arrival_before_the_instant_of_its_departure_is_another_frames(air: Air) -> None:
