@@ -25,6 +25,7 @@ from netlab.scenario.radio_physics import (
     DEFAULT_TX_POWER_DBM,
     MODEL_NAMES,
     PHY_NAMES,
+    AntennaKeys,
     AntennaWords,
     Carrier,
     NoiseFloor,
@@ -147,7 +148,7 @@ class Propagation(StrictModel):
 #: Channels on which mac80211_hwsim's own rules let a mesh or an ad-hoc network beacon, by centre in MHz.
 HWSIM_CHANNELS_MHZ = (*range(2412, 2463, 5), 5180, 5200, 5220, 5240, *range(5745, 5826, 20))
 _HWSIM_KEYS = ("mode", "mesh_id", "ssid", "retry_limit", "monitor", "rssi")
-_PHYSICAL_KEYS = ("frequency", "tx_power", "antenna")
+_PHYSICAL_KEYS = ("frequency", "tx_power", "antenna", "antenna_gain")
 _MOST_RADIOS = 8
 _MOST_NAME_BYTES = 32  # IEEE 802.11-2016, 9.4.2.2 and 9.4.2.99
 
@@ -161,7 +162,7 @@ def _network_name(value: object) -> str:
 NetworkName = Annotated[str, BeforeValidator(_network_name), WithJsonSchema({"type": "string", "maxLength": 32})]
 
 
-class Radio(Words):
+class Radio(AntennaKeys, Words):
     """The defaults of every radio. The words here hold for every pair that is in range.
 
     ``driver`` `engine`: an Ethernet interface whose frames the engine carries; `hwsim`: a real 802.11 interface of the
@@ -180,7 +181,6 @@ class Radio(Words):
     phy: PhyName | None = None
     noise_dbm: NoiseFloor | None = Field(default=None, alias="noise")
     tx_power_dbm: TransmitPower = Field(default=DEFAULT_TX_POWER_DBM, alias="tx_power")
-    antenna: AntennaWords = AntennaWords()
 
     @property
     def hwsim_frequency_mhz(self) -> int:
@@ -207,7 +207,7 @@ class Radio(Words):
         return RadioSettings(
             frequency_hz=own.frequency_hz or self.frequency_hz or DEFAULT_FREQUENCY_HZ,
             tx_power_dbm=self.tx_power_dbm if own.tx_power_dbm is None else own.tx_power_dbm,
-            antenna=own.antenna or self.antenna,
+            antenna=own.antenna_words or self.antenna_words or AntennaWords(),
             phy=own.phy or self.phy,
             rate_bps=own.rate_bps or rate_bps,
             noise_dbm=self.noise_dbm if own.noise_dbm is None else own.noise_dbm,
