@@ -107,6 +107,7 @@ class Supervisor:
         self.run.on_start = self.motion.begin
         self.motion.on_failure = self._fail
         self.run.in_contact = lambda a, b: self.motion.in_contact(a, b)
+        self.run.contacts = self.motion.contacts
         specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
         self._control = ControlServer(self._folder.control_socket, Requests(self).handle)

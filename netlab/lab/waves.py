@@ -75,34 +75,33 @@ def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: M
         if propagation.interpolate:
             updates.append(WordsBetweenRows(scenario, plan, links).update)
         motion.always_ticks = True
-    watches = []
+    channels = [segment for segment in plan.segments if segment.channel is not None]
+    watch = None
     if physics is not None or propagation.strengths_change:
-        channels = (segment for segment in plan.segments if segment.channel is not None)
-        watches = [(segment, ContactWatch(scenario, plan, segment, links, recording)) for segment in channels]
+        watch = ContactWatch(scenario, plan, channels, links, recording)
     due_s = 0.0
 
     def update(at_s: float) -> None:
         for change in updates:
             change(at_s)
-        for segment, watch in watches:
-            watch.update(links.heard(segment), at_s)
+        if watch is not None:
+            watch.update([links.heard(segment) for segment in channels], at_s)
 
     def on_tick(at_s: float) -> None:
         nonlocal due_s
         with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
             update(at_s)
         if at_s >= due_s:
-            rows = links.describe(heard_only=bool(watches))
+            rows = links.describe(heard_only=watch is not None)
             recording.links(rows)
             due_s = at_s + max(_RECORD_EVERY_S, len(rows) / _MOST_ROWS_PER_S)
 
     update(0.0)
     motion.on_tick = on_tick
-    if not watches:
+    if watch is None:
         return plan
-    motion.in_contact = lambda a, b: (
-        scenario.joined(a, b) != ("radio",) or any(watch.is_made(a, b) for _, watch in watches)
-    )
+    motion.contacts = watch.pairs
+    motion.in_contact = lambda a, b: scenario.joined(a, b) != ("radio",) or watch.is_made(a, b)
     return _heard_plan(plan, links)
 
 
