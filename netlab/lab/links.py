@@ -9,7 +9,6 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from itertools import permutations
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
@@ -139,8 +138,9 @@ class Links:
         """Who hears whom of a segment with strengths, ``[sender, receiver]`` in the order of its ports."""
         heard = self.signals.heard(segment)
         place = {port: place for place, port in enumerate(segment.ports)}
-        for sender, receiver in self._out_of_range & set(permutations(segment.ports, 2)):
-            heard[place[sender], place[receiver]] = False
+        for sender, receiver in self._out_of_range:
+            if sender in place and receiver in place:
+                heard[place[sender], place[receiver]] = False
         return heard
 
     def is_held(self, pair: Pair) -> bool:
