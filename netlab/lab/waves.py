@@ -7,7 +7,7 @@ measured tables (:mod:`netlab.lab.measured`). Everybody else's strength is what 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from netlab.engines.base import LabPlan
@@ -27,6 +27,9 @@ from netlab.world.world import World
 
 #: The state of all pairs is recorded this often, in large teams that hear each other less often.
 _RECORD_EVERY_S, _MOST_ROWS_PER_S = 0.5, 1000
+
+
+Update = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,34 @@ class Waves:
             self._links.set_rssi(channel.segment, channel.budget.rssi_dbm(moment, geometry, at_s))
 
 
+class _Follower:
+    """Lets a scenario time take effect on the radios, and records what has become of them."""
+
+    def __init__(
+        self, updates: Sequence[Update], watch: ContactWatch | None, plan: LabPlan, links: Links, recording: Recording
+    ) -> None:
+        self._updates = updates
+        self._watch = watch
+        self._channels = [segment for segment in plan.segments if segment.channel is not None]
+        self._links = links
+        self._recording = recording
+        self._due_s = 0.0
+
+    def update(self, at_s: float) -> None:
+        for update in self._updates:
+            update(at_s)
+        if self._watch is not None:
+            self._watch.update([self._links.heard(segment) for segment in self._channels], at_s)
+
+    def tick(self, at_s: float) -> None:
+        with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
+            self.update(at_s)
+        if at_s >= self._due_s:
+            rows = self._links.describe(heard_only=self._watch is not None)
+            self._recording.links(rows)
+            self._due_s = at_s + max(_RECORD_EVERY_S, len(rows) / _MOST_ROWS_PER_S)
+
+
 def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: Motion, recording: Recording) -> LabPlan:
     """Set what radios hear of one another, now and at every tick of the motion, and record it.
 
@@ -64,45 +95,32 @@ def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: M
     """
     assert scenario.radio is not None
     propagation = scenario.radio.propagation
-    updates: list[Callable[[float], None]] = []
-    if (physics := propagation.physics) is not None:
-        waves = Waves(scenario, plan, links, physics)
-        updates.append(lambda at_s: waves.update(at_s, motion.tracks))
-        motion.always_ticks = physics.fading and physics.drift_hz > 0
-    else:
-        if propagation.strengths_change:
-            updates.append(MeasuredWaves(scenario, plan, links).update)
-        if propagation.interpolate:
-            updates.append(WordsBetweenRows(scenario, plan, links).update)
-        motion.always_ticks = True
-    channels = [segment for segment in plan.segments if segment.channel is not None]
     watch = None
-    if physics is not None or propagation.strengths_change:
-        watch = ContactWatch(scenario, plan, channels, links, recording)
-    due_s = 0.0
-
-    def update(at_s: float) -> None:
-        for change in updates:
-            change(at_s)
-        if watch is not None:
-            watch.update([links.heard(segment) for segment in channels], at_s)
-
-    def on_tick(at_s: float) -> None:
-        nonlocal due_s
-        with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
-            update(at_s)
-        if at_s >= due_s:
-            rows = links.describe(heard_only=watch is not None)
-            recording.links(rows)
-            due_s = at_s + max(_RECORD_EVERY_S, len(rows) / _MOST_ROWS_PER_S)
-
-    update(0.0)
-    motion.on_tick = on_tick
+    if propagation.physics is not None or propagation.strengths_change:
+        watch = ContactWatch(scenario, plan, [s for s in plan.segments if s.channel is not None], links, recording)
+    follower = _Follower(list(_updates(scenario, plan, links, motion)), watch, plan, links, recording)
+    follower.update(0.0)
+    motion.on_tick = follower.tick
+    physics = propagation.physics
+    motion.always_ticks = physics is None or (physics.fading and physics.drift_hz > 0)
     if watch is None:
         return plan
     motion.contacts = watch.pairs
     motion.in_contact = lambda a, b: scenario.joined(a, b) != ("radio",) or watch.is_made(a, b)
     return _heard_plan(plan, links)
+
+
+def _updates(scenario: Scenario, plan: LabPlan, links: Links, motion: Motion) -> Iterator[Update]:
+    """What changes as time goes on: strengths by positions, or strengths and words by a measured file."""
+    assert scenario.radio is not None
+    propagation = scenario.radio.propagation
+    if propagation.physics is not None:
+        waves = Waves(scenario, plan, links, propagation.physics)
+        yield lambda at_s: waves.update(at_s, motion.tracks)
+    if propagation.strengths_change:
+        yield MeasuredWaves(scenario, plan, links).update
+    if propagation.interpolate:
+        yield WordsBetweenRows(scenario, plan, links).update
 
 
 def _heard_plan(plan: LabPlan, links: Links) -> LabPlan:

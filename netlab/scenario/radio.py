@@ -222,7 +222,8 @@ class Radio(AntennaKeys, Words):
     def _misplaced_on_channel(self) -> str | None:
         if self.phy is None:
             if self.propagation.has_path_losses or self.propagation.strengths_change:
-                return f"path losses and strengths over time need a phy; add phy: {PHY_NAMES[0]}"
+                remedy = "remove driver: hwsim and " if self.driver == "hwsim" else ""
+                return f"path losses and strengths over time need a phy; {remedy}add phy: {PHY_NAMES[0]}"
             return "noise belongs to radios with a phy; add phy or remove it" if self.noise_dbm is not None else None
         if self.driver == "hwsim":
             return "phy has no meaning with driver: hwsim, whose radios share no airtime; remove one of them"

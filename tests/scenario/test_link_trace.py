@@ -95,7 +95,7 @@ def test_a_path_loss_leaves_what_is_heard_of_the_senders_power(tmp_path: Path) -
         ({"radio": {"propagation": {"model": "table", "file": "t.csv"}}}, "radio: path losses and strengths over time"),
         (
             {"radio": {"driver": "hwsim", "propagation": {"model": "table", "file": "t.csv"}}},
-            "radio: path losses and strengths over time need a phy; add phy: 802.11g-20MHz",
+            "radio: path losses and strengths over time need a phy; remove driver: hwsim and add phy: 802.11g-20MHz",
         ),
         (
             {"radio": {"phy": "subt", "propagation": {"model": "table", "interpolate": True}}},
