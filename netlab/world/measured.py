@@ -14,7 +14,7 @@ Sample = tuple[float, float]  # (at_s, value)
 class Series:
     """One value per link, held from sample to sample or interpolated between them; after the last one it stays.
 
-    Towards and from an infinite value there is nothing in between: it is held.
+    Towards and from an infinite value there is nothing in between: it is held. Times are told apart to the microsecond.
     """
 
     def __init__(self, samples: Sequence[Sequence[Sample]], *, interpolate: bool) -> None:
