@@ -59,6 +59,25 @@ class SetT0:
 
 
 @dataclass(frozen=True, slots=True)
+class Subscribe:
+    """Somebody looks on; comes with the socket. ``packets``: with packets and verdicts too."""
+
+    packets: bool
+
+
+@dataclass(frozen=True, slots=True)
+class OpenFile:
+    """Finish the present file, if any, and begin another one; answer with ``Done``."""
+
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class CloseFile:
+    """Finish the present file; those who look on go on. Answer with ``Done``."""
+
+
+@dataclass(frozen=True, slots=True)
 class Sync:
     """Answer with ``Done`` when everything before this has taken effect."""
 

@@ -26,6 +26,7 @@ from netlab.lab.control import ControlClient
 from netlab.lab.launch import LabProcess, LaunchOptions, launch, make_room
 from netlab.lab.nursery import Nursery
 from netlab.lab.results import RunResult, evaluate_run
+from netlab.live.feed import Feed, follow
 from netlab.scenario import load_scenario, parse_scenario
 from netlab.scenario.model import Scenario
 
@@ -183,6 +184,14 @@ class Lab:
     def status(self) -> dict[str, Any]:
         """Phase, scenario time, processes, links and streams as plain values."""
         return self._request({"do": "status"})
+
+    def feed(self, *, packets: bool = False) -> Feed:
+        """What the lab records, as it is recorded; close it when done. ``packets``: with packets and verdicts.
+
+        Raises:
+            LabError: The lab is not running any more, or its capture is finished.
+        """
+        return follow(self._running.folder, packets=packets)
 
     def exec(
         self, node: str, *argv: str, timeout_s: float = 30.0, env: Mapping[str, str] | None = None, text: str = ""

@@ -14,6 +14,7 @@ from typing import Any
 
 from netlab.capture.handle import Recorder
 from netlab.capture.messages import RecorderStats
+from netlab.errors import LabError
 from netlab.ipc import start_module
 from netlab.lab.process import ProcessSpec
 
@@ -90,6 +91,12 @@ class Recording:
         """Record one object of the lab's own, stamped by the caller."""
         if self._recorder is not None:
             self._recorder.message(topic, payload, t_ns)
+
+    def subscribe(self, fd: int, *, packets: bool) -> None:
+        """Show what is recorded at a stream socket too. Raises LabError where nothing is recorded."""
+        if self._recorder is None:
+            raise LabError("this lab records nothing, so there is nothing to follow; start it with --capture FILE")
+        self._recorder.subscribe(fd, packets=packets)
 
     def set_t0(self, t0_ns: int) -> None:
         """Declare scenario time zero."""

@@ -90,6 +90,12 @@ class Requests:
         connection.on_close = lambda: None
         connection.send({"exit": status})
 
+    async def _do_subscribe(self, request: Request, fds: list[int], _connection: Connection) -> Reply:
+        if len(fds) != 1:
+            raise LabError("subscribe takes one descriptor: a stream socket")
+        self._lab.recording.subscribe(fds[0], packets=bool(request.get("packets")))
+        return {"ok": True}
+
     async def _do_outage(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
         a, b = request["between"]
         pairs, _kind = self._lab.links.between(a, b, one_way=bool(request.get("one_way")))
