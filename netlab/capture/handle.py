@@ -18,7 +18,7 @@ from netlab.capture.messages import (
     Open,
     OpenFile,
     RecorderStats,
-    SetT0,
+    SetMetadata,
     Subscribe,
     Sync,
 )
@@ -73,7 +73,11 @@ class Recorder:
 
     def set_t0(self, t0_ns: int) -> None:
         """Declare scenario time zero."""
-        self._send(SetT0(t0_ns))
+        self.set_metadata({"t0_ns": str(t0_ns)})
+
+    def set_metadata(self, values: Mapping[str, str]) -> None:
+        """Change values of the record ``netlab.run``."""
+        self._send(SetMetadata(dict(values)))
 
     def subscribe(self, fd: int, *, packets: bool) -> None:
         """Show everything that is recorded at a stream socket too, from the static records on; never waits for it."""

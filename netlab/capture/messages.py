@@ -52,10 +52,10 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
-class SetT0:
-    """Scenario time zero, CLOCK_REALTIME."""
+class SetMetadata:
+    """Values of the record ``netlab.run`` that are known only now: scenario time zero, a longer duration."""
 
-    t0_ns: int
+    values: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)

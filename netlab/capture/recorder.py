@@ -32,7 +32,7 @@ from netlab.capture.messages import (
     Open,
     OpenFile,
     RecorderStats,
-    SetT0,
+    SetMetadata,
     Subscribe,
     Sync,
 )
@@ -117,8 +117,8 @@ class Recorder:
                 self._add_feed(message, fds[0])
             case Message() if self._topics:
                 self._topics.add_json(message.topic, message.payload, message.t_ns)
-            case SetT0() if self._topics:
-                self._metadata["t0_ns"] = str(message.t0_ns)
+            case SetMetadata() if self._topics:
+                self._metadata |= message.values
                 self._outlets.add_metadata(METADATA_NAME, self._metadata)
             case Subscribe() if self._topics:
                 self._outlets.join(Onlooker(socket.socket(fileno=fds[0]), packets=message.packets))

@@ -22,8 +22,10 @@ from netlab.lab.process import ProcessSpec
 class Recording:
     """One run's recording, or none (``Recording(None)``)."""
 
-    def __init__(self, recorder: Recorder | None) -> None:
+    def __init__(self, recorder: Recorder | None, file: str | None = None) -> None:
         self._recorder = recorder
+        #: The file that is written to now.
+        self.file = file
         self._log_feeds: dict[tuple[str, str], int] = {}
         self.lines_dropped = 0
 
@@ -37,7 +39,7 @@ class Recording:
         channel, _pid = start_module("netlab.capture.recorder")
         recorder = Recorder(channel)
         recorder.open(str(path), metadata, attachments, nodes=nodes)
-        return cls(recorder)
+        return cls(recorder, str(path))
 
     @property
     def active(self) -> bool:
@@ -92,6 +94,24 @@ class Recording:
         if self._recorder is not None:
             self._recorder.message(topic, payload, t_ns)
 
+    def open_file(self, path: Path) -> None:
+        """Finish the present file and go on in another one.
+
+        Raises:
+            LabError: Nothing has been recorded from the start: nobody listens to the processes then.
+            CaptureError: The file cannot be created.
+        """
+        if self._recorder is None:
+            raise LabError("this lab was started without a recorder; start it with --capture FILE")
+        self._recorder.open_file(str(path))
+        self.file = str(path)
+
+    def close_file(self) -> None:
+        """Finish the present file; onlookers go on."""
+        if self._recorder is not None:
+            self._recorder.close_file()
+        self.file = None
+
     def subscribe(self, fd: int, *, packets: bool) -> None:
         """Show what is recorded at a stream socket too. Raises LabError where nothing is recorded."""
         if self._recorder is None:
@@ -102,6 +122,11 @@ class Recording:
         """Declare scenario time zero."""
         if self._recorder is not None:
             self._recorder.set_t0(t0_ns)
+
+    def set_duration(self, duration_s: float) -> None:
+        """Declare for how long traffic is published, when that has changed."""
+        if self._recorder is not None:
+            self._recorder.set_metadata({"duration_s": repr(duration_s)})
 
     def sync(self) -> None:
         """Wait until all that was asked for is recorded from now on. Raises CaptureError."""
