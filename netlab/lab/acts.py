@@ -79,10 +79,10 @@ class Acts:
     async def _do_outage(self, request: Act) -> None:
         a, b = request["between"]
         one_way, active = bool(request.get("one_way")), bool(request["active"])
-        pairs, _kind = self._lab.links.between(a, b, one_way=one_way)
+        pairs, kind = self._lab.links.between(a, b, one_way=one_way)
         self._lab.links.set_outage(PERSON, pairs, active=active)
         label = f"outage {_path(a, b, one_way)} {'begins' if active else 'ends'}"
-        act = {"do": "outage", "between": [a, b], "one_way": one_way, "active": active}
+        act = {"do": "outage", "between": [a, b], "one_way": one_way, "active": active, **self._over(a, b, kind)}
         self._record("outage", label, act, restores=None if active else (a, b))
         self._can_undo(label, lambda: self._do_outage({**act, "active": not active}))
 
@@ -97,7 +97,8 @@ class Acts:
             self._lab.links.set_outage(PERSON, pairs, active=False)
         self._lab.links.set_carrier(PERSON, {port for pair in pairs for port in pair}, up=up)
         label = f"link {a}-{b} {'up' if up else 'down'}"
-        self._record("carrier", label, {"do": "carrier", "between": [a, b], "up": up}, restores=(a, b) if up else None)
+        act = {"do": "carrier", "between": [a, b], "up": up, **self._over(a, b, kind)}
+        self._record("carrier", label, act, restores=(a, b) if up else None)
         self._can_undo(label, lambda: self._do_carrier({"between": [a, b], "up": not up}))
 
     async def _do_flap(self, request: Act) -> None:
@@ -110,7 +111,8 @@ class Acts:
         if key in self._flaps:
             raise LabError(f"{a}-{b} flaps already")
         flap = _Flap(self._lab, a, b, pairs, by_carrier=kind is SegmentKind.WIRE)
-        act = {"do": "flap", "between": [a, b], "up_s": up_s, "down_s": down_s, "for_s": for_s}
+        times = {"up_s": up_s, "down_s": down_s, "for_s": for_s}
+        act = {"do": "flap", "between": [a, b], **times, **self._over(a, b, kind)}
         label = f"flap {a}-{b}: down {down_s:g} s, up {up_s:g} s, for {for_s:g} s"
         self._record("flap", label, act)
         task = self._flaps[key] = asyncio.create_task(flap.run(up_s=up_s, down_s=down_s, for_s=for_s))
@@ -129,12 +131,13 @@ class Acts:
     async def _do_link(self, request: Act) -> None:
         a, b = request["between"]
         one_way = bool(request.get("one_way"))
-        pairs, _kind = self._lab.links.between(a, b, one_way=one_way)
+        pairs, kind = self._lab.links.between(a, b, one_way=one_way)
         words = parse_words(a, b, request["words"])
         before = {pair: self._lab.links.impairment(pair) for pair in pairs}
         self._lab.links.set_pairs({pair: impairment(words, before[pair] or PERFECT) for pair in pairs})
         label = f"link {_path(a, b, one_way)}: " + ", ".join(f"{key}={v}" for key, v in request["words"].items())
-        act = {"do": "link", "between": [a, b], "one_way": one_way, "words": dict(request["words"])}
+        words_given = dict(request["words"])
+        act = {"do": "link", "between": [a, b], "one_way": one_way, "words": words_given, **self._over(a, b, kind)}
         self._record(Kind.LINK, label, act)
         self._can_undo(label, lambda: self._restore_link(act, before))
 
@@ -145,7 +148,7 @@ class Acts:
             a, b = (self._lab.plan.ports[port].node for port in (sender, receiver))
             words = impairment_words(former or PERFECT, act["words"])
             label = f"link {a}->{b}: " + ", ".join(f"{key}={value}" for key, value in words.items())
-            self._record(Kind.LINK, label, {"do": "link", "between": [a, b], "one_way": True, "words": words})
+            self._record(Kind.LINK, label, {**act, "between": [a, b], "one_way": True, "words": words})
 
     # -- nodes ----------------------------------------------------------------------------------------------------
 
@@ -239,6 +242,10 @@ class Acts:
         finally:
             self._undoing = False
         return {"ok": True, "label": last.label}
+
+    def _over(self, a: str, b: str, kind: SegmentKind) -> dict[str, str]:
+        """Which of the two is meant, where a wire and a radio join two nodes."""
+        return {"over": kind.value} if len(self._lab.run.scenario.joined(a, b)) > 1 else {}
 
     def _can_undo(self, label: str, undo: Undo) -> None:
         if not self._undoing:

@@ -5,6 +5,7 @@ Without a capture every method is a no-op, so that nobody else has to ask.
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import time
@@ -28,6 +29,8 @@ class Recording:
         self.file = file
         self._log_feeds: dict[tuple[str, str], int] = {}
         self.lines_dropped = 0
+        #: A file for the timeline's rows (JSON lines), with a capture or without.
+        self.journal: Path | None = None
 
     @classmethod
     def start(cls, path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes], nodes: int) -> Recording:
@@ -82,6 +85,9 @@ class Recording:
     def timeline(self, kind: str, label: str, *, at_s: float | None, ago_s: float = 0.0, **more: Any) -> None:
         """Record an act on the lab, stamped ``ago_s`` before now."""
         payload = {"kind": kind, "label": label, "at_s": at_s, **more}
+        if self.journal is not None:
+            with self.journal.open("a") as journal:
+                journal.write(json.dumps(payload) + "\n")
         self.message("/timeline", payload, time.time_ns() - round(ago_s * 1e9))
 
     def links(self, rows: list[dict[str, Any]]) -> None:

@@ -202,7 +202,8 @@ class ScenarioRun:
     async def _carry_out(self, entry: Entry) -> None:
         at_s = self.schedule.run_s(entry.at_s, self._now_s)
         try:
-            await self.apply(entry.action, entry.kind, entry.label, at_s=min(at_s, self._now_s), **_joins(entry))
+            at_s = min(at_s, self._now_s)
+            await self.apply(entry.action, entry.kind, entry.label, at_s=at_s, event=entry.event, **_joins(entry))
         except NetlabError as error:
             self.problems.append(f"{entry.label}: {error}")
 
@@ -233,12 +234,14 @@ class ScenarioRun:
         label: str,
         *,
         at_s: float | None,
+        event: int | None = None,
         act: dict[str, Any] | None = None,
         **joins: Sequence[Sequence[str]] | Sequence[str],
     ) -> None:
         """Do one timeline action and record it, with what it means for nodes that are joined (``Entry``'s names).
 
-        ``act``: the person's act that it is, see :mod:`netlab.lab.acts`.
+        ``event``: its place in the scenario's `events`; ``act``: the person's act that it is, see
+        :mod:`netlab.lab.acts`.
         """
         match action:
             case SetPairs(changes):
@@ -260,7 +263,8 @@ class ScenarioRun:
                 pass  # the motions say where it is
         if (restores := joins.get("restores")) and not self.in_contact(*map(str, restores)):
             joins.pop("restores")
-        meaning: dict[str, Any] = {"restores": None, **joins, **({} if act is None else {"act": act})}
+        origin = {key: value for key, value in (("event", event), ("act", act)) if value is not None}
+        meaning: dict[str, Any] = {"restores": None, **joins, **origin}
         self._recording.timeline(kind, label, at_s=at_s, **meaning)
         if isinstance(action, SetPairs | SetOutage | SetCarrier | DeployNode):
             self._recording.links(self._links.describe())

@@ -87,6 +87,7 @@ class Supervisor:
         self._bring_up_s += mesh_interfaces.bring_up(self.plan, self._engine.namespace_fds)
         self.links = Links(self.plan, self._engine)
         self.recording = self._start_recording()
+        self.recording.journal = self._folder.journal
         self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
         self.processes.open_events = self.recording.open_events
         self.processes.on_line = self.recording.line
