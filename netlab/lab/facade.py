@@ -197,6 +197,10 @@ class Lab:
         """
         return follow(self._running.folder, packets=packets)
 
+    def connect(self) -> ControlClient:
+        """A control connection of one's own, for what a request with descriptors needs; close it when done."""
+        return self._running.connect()
+
     def exec(
         self, node: str, *argv: str, timeout_s: float = 30.0, env: Mapping[str, str] | None = None, text: str = ""
     ) -> subprocess.CompletedProcess[str]:
