@@ -7,7 +7,7 @@ made into segments only when its cells have changed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -27,6 +27,7 @@ from netlab.tui.braille import DOTS_X, DOTS_Y, Layer, Line, characters
 from netlab.tui.projection import Point, Projection, distance_to_line, fit, in_a_circle, nearest
 
 _ROCK_INK = 1
+_ROUND_M = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 _INKS = {Grade.OUT_OF_RANGE: 2, Grade.DOWN: 3, Grade.POOR: 4, Grade.FAIR: 5, Grade.GOOD: 6}
 _CHOSEN_INK = 7
 _COLOURS = {0: palette.TEXT, _ROCK_INK: palette.ROCK, _CHOSEN_INK: palette.CHOSEN} | {
@@ -52,9 +53,10 @@ class MapView(Widget, can_focus=True):
             self.chosen = chosen
             self.place_m = place_m
 
-    def __init__(self, model: LiveModel, *, id: str | None = None) -> None:
+    def __init__(self, model: LiveModel, *, relays: Collection[str] = (), id: str | None = None) -> None:
         super().__init__(id=id)
         self.model = model
+        self._relays = relays
         self.chosen: Chosen = None
         #: Where a move would lead, while one is being made.
         self.target_m: Point | None = None
@@ -138,11 +140,13 @@ class MapView(Widget, can_focus=True):
     def _link_lines(self, dots: dict[str, Point]) -> Iterator[Line]:
         for link in self.model.shown_links():
             if link.a in dots and link.b in dots:
-                yield dots[link.a], dots[link.b], _INKS[link.grade], _GAPS[link.grade]
-        if isinstance(self.chosen, frozenset) and len(self.chosen) == 2:
-            a, b = sorted(self.chosen)
-            if a in dots and b in dots:
-                yield dots[a], dots[b], _CHOSEN_INK, 1
+                ink, gap, (a, b) = _INKS[link.grade], _GAPS[link.grade], (dots[link.a], dots[link.b])
+                yield a, b, ink, gap
+                if self.chosen == frozenset((link.a, link.b)):  # three dots wide
+                    steep = abs(b[1] - a[1]) > abs(b[0] - a[0])
+                    for aside in (-1, 1):
+                        dx, dy = (aside, 0) if steep else (0, aside)
+                        yield (a[0] + dx, a[1] + dy), (b[0] + dx, b[1] + dy), ink, gap
         if self.target_m is not None and isinstance(self.chosen, str) and self.chosen in dots:
             yield dots[self.chosen], self._projection.dots(self.target_m), _CHOSEN_INK, 4
 
@@ -158,14 +162,26 @@ class MapView(Widget, can_focus=True):
             if not node.active and name != self.chosen:  # carried: it is where its carrier is
                 continue
             style = self._node_style(name)
-            yield (column, row), ("◆" if not node.heading_deg and "base" in name else "●", style)
+            yield (column, row), ("▲" if name in self._relays else "●", style)
             text = f" {name} " if name == self.chosen else name
             start = _free_start(column, row, len(text), taken, self.size)
             for offset, character in enumerate(text):
                 taken.add((start[0] + offset, start[1]))
                 yield (start[0] + offset, start[1]), (character, style)
+        yield from self._scale_bar()
         if self.target_m is not None:
             yield self._projection.cell(self.target_m), ("✚", Style(color=palette.CHOSEN, bold=True))
+
+    def _scale_bar(self) -> Iterator[tuple[tuple[int, int], tuple[str, Style]]]:
+        """A length of round metres in the corner, where places are real."""
+        if all(node.position_m is None for node in self.model.nodes.values()):
+            return
+        across_m, _ = self.cell_m
+        length_m = next((m for m in _ROUND_M if m / across_m >= 8), _ROUND_M[-1])
+        bar = "├" + "─" * max(1, round(length_m / across_m) - 2) + f"┤ {length_m:g} m"
+        style = Style(color=palette.DIM)
+        for offset, character in enumerate(bar):
+            yield (1 + offset, self.size.height - 1), (character, style)
 
     def _tunnel_name(
         self, tunnel: Tunnel, taken: set[tuple[int, int]]
@@ -175,8 +191,9 @@ class MapView(Widget, can_focus=True):
         style = Style(color=palette.ROCK, italic=True)
         row += 1 if abs(x1 - x0) >= abs(y1 - y0) else 0
         column += -len(tunnel.name) // 2 if abs(x1 - x0) >= abs(y1 - y0) else 2
-        cells = [(column + offset, row + (abs(x1 - x0) >= abs(y1 - y0))) for offset in range(len(tunnel.name))]
-        if not taken.intersection(cells):
+        row += abs(x1 - x0) >= abs(y1 - y0)
+        cells = [(column + offset, row) for offset in range(len(tunnel.name))]
+        if not taken.intersection([(column - 1, row), *cells, (column + len(cells), row)]):
             taken.update(cells)
             yield from zip(cells, ((character, style) for character in tunnel.name), strict=True)
 

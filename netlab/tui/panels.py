@@ -11,7 +11,7 @@ from rich.text import Text
 from netlab.capture.schemas import LogLevel
 from netlab.live.links import Direction, Link
 from netlab.live.model import LiveModel, Node
-from netlab.live.windows import sparkline
+from netlab.live.windows import LatencyWindow, sparkline
 from netlab.tui import palette
 from netlab.tui.tour import STEPS
 
@@ -55,7 +55,8 @@ class Standing:
 def head_text(model: LiveModel, standing: Standing, width: int) -> Text:
     """Name, time with a bar, whether the timeline stands still, what is recorded."""
     t_s = max(0.0, standing.t_s or 0.0)
-    text = Text(f" {model.name} ", style=f"bold {palette.CHOSEN} on #24415c", no_wrap=True)
+    text = Text(no_wrap=True)
+    text.append(f" {model.name} ", style=f"bold {palette.CHOSEN} on #24415c")
     if standing.phase == "running":
         label, style = ("‖ timeline held", "bold #e5c453") if standing.held else ("▶ running", "#35c48d")
     else:
@@ -137,30 +138,32 @@ def link_text(link: Link) -> Text:
 
 
 def streams_text(model: LiveModel, *, width: int, lines: int) -> Text:
-    """A line for each priority, then as many streams as there is room for, most urgent first."""
+    """A line for each priority, then as many streams as there is room for, most urgent first.
+
+    Each with the median and the 99th percentile of the last ten seconds, delivered of sent, and a minute of medians.
+    """
     now_s = model.now_ns / 1e9
     text = Text(no_wrap=True, overflow="ellipsis")
-    spark = max(10, min(60, width - 44))
+    name_width = 26 if width < 100 else 34
+    spark = max(8, min(60, width - name_width - 34))
+    text.append(f" {'':<{name_width}}{'median':>9}{'p99':>9}{'delivered':>13}  last {spark} s\n", style=palette.DIM)
+
+    def line(name: str, window: LatencyWindow, count: str, colour: str, *, bold: bool, lacks: bool) -> None:
+        text.append(f" {name[: name_width - 1]:<{name_width}}", style=f"bold {colour}" if bold else colour)
+        for percent in (50, 99):
+            latency_s = window.percentile_s(percent, now_s=now_s)
+            text.append(f"{_ms(latency_s):>9}", style=palette.latency(latency_s))
+        text.append(f"{count:>13}  ", style=palette.WARNING if lacks else palette.DIM)
+        text.append(sparkline(window.series_s(spark, now_s=now_s)) + "\n", style=colour)
+
     for number, window in sorted(model.priorities.items()):
-        median_s = window.percentile_s(50, now_s=now_s)
-        text.append(f" priority {number:<3}", style=f"bold {palette.priority(number)}")
-        _latency(text, median_s)
-        text.append(" p99", style=palette.DIM)
-        _latency(text, window.percentile_s(99, now_s=now_s))
-        text.append(f" {window.delivered:>6} ", style=palette.DIM)
-        text.append(sparkline(window.series_s(spark, now_s=now_s)) + "\n", style=palette.priority(number))
+        line(f"priority {number}", window, str(window.delivered), palette.priority(number), bold=True, lacks=False)
     streams = sorted(model.streams.values(), key=lambda stream: (stream.priority, stream.index))
-    for stream in streams[: max(0, lines - len(model.priorities))]:
-        name = f"{stream.source}→{stream.destination} {stream.topic}"
-        text.append(f" {name[:24]:<24}", style=palette.priority(stream.priority))
-        _latency(text, stream.window.percentile_s(50, now_s=now_s))
+    for stream in streams[: max(0, lines - len(model.priorities) - 1)]:
+        name, colour = f"{stream.topic} {stream.source}→{stream.destination}", palette.priority(stream.priority)
         missing = stream.sent - stream.window.delivered
-        text.append(
-            f" {stream.window.delivered:>5}/{stream.sent:<5} ", style=palette.DIM if missing <= 1 else "#e5c453"
-        )
-        text.append(
-            sparkline(stream.window.series_s(spark, now_s=now_s)) + "\n", style=palette.priority(stream.priority)
-        )
+        count = f"{stream.window.delivered}/{stream.sent}"
+        line(name, stream.window, count, colour, bold=False, lacks=missing > 0.1 * stream.sent + 2)
     if not model.streams:
         text.append(" this scenario has no traffic\n", style=palette.DIM)
     return text
@@ -256,10 +259,6 @@ def _direction_rows(direction: Direction) -> Iterable[tuple[str, str]]:
         yield "delay", _ms(direction.delay_s)
     if direction.rate_bps:
         yield "rate", _rate(direction.rate_bps)
-
-
-def _latency(text: Text, latency_s: float | None) -> None:
-    text.append(f"{_ms(latency_s):>9}", style=palette.latency(latency_s))
 
 
 def _ms(value_s: float | None) -> str:

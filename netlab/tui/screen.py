@@ -13,13 +13,15 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.screen import Screen
-from textual.widgets import Footer, Static
+from textual.widgets import Static
 
 from netlab.errors import NetlabError
+from netlab.live.links import Grade
 from netlab.live.model import LiveModel
 from netlab.scenario.quantities import DURATION
 from netlab.tui import palette, panels
 from netlab.tui.dialogs import Choice, Field, Form
+from netlab.tui.key_bar import KeyBar
 from netlab.tui.map_view import MapView
 from netlab.tui.panels import Standing
 from netlab.tui.session import Session
@@ -76,14 +78,14 @@ class MainScreen(Screen[None]):
         """Lay it out."""
         yield Static("", id="head")
         with Horizontal(id="above"):
-            yield MapView(self.model, id="map")
+            yield MapView(self.model, relays=self.session.carriers, id="map")
             yield Static("", id="detail")
         with Horizontal(id="below"):
             yield Static("", id="streams")
             yield Static("", id="timeline")
         yield Static("", id="tour")
         yield Static("", id="said")
-        yield Footer(compact=True, show_command_palette=False)
+        yield KeyBar(id="keys")
 
     def on_mount(self) -> None:
         """Begin to look."""
@@ -91,6 +93,8 @@ class MainScreen(Screen[None]):
         for name, title in (("detail", "node"), ("streams", "latency by priority"), ("timeline", "timeline")):
             self.query_one(f"#{name}", Static).border_title = title
         self.map.border_title = "map"
+        grades = (Grade.GOOD, Grade.FAIR, Grade.POOR, Grade.DOWN)
+        self.map.border_subtitle = "  ".join(f"[{palette.GRADES[g]}]{palette.SIGNS[g]}[/] {g}" for g in grades)
         self.set_interval(1 / self._rate_hz, self._look)
         self.set_interval(1.0, self._draw_panels)
         self._watch_status()
