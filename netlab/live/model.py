@@ -127,9 +127,13 @@ class LiveModel:
         return (t_ns - (self.now_ns if self.t0_ns is None else self.t0_ns)) / _NS_PER_S
 
     def shown_links(self) -> list[Link]:
-        """The links that are worth a line on the map, by name."""
-        shown = (link for link in self.links.values() if link.grade is not Grade.OUT_OF_RANGE)
-        return sorted(shown, key=lambda link: link.name)
+        """The links that are worth a line on the map, by name: in range, and of nodes that nobody carries."""
+
+        def is_shown(link: Link) -> bool:
+            ends = (self.nodes.get(link.a), self.nodes.get(link.b))
+            return link.grade is not Grade.OUT_OF_RANGE and all(node is None or node.active for node in ends)
+
+        return sorted(filter(is_shown, self.links.values()), key=lambda link: link.name)
 
     def _take_json(self, record: JsonRecord) -> None:
         payload: Mapping[str, Any] = record.payload
