@@ -77,8 +77,16 @@ def _replaced(text: str, key: str, block: str) -> str:
     for name, value in pairs:
         if name.value == key:
             lines = text.splitlines(keepends=True)
-            end = value.end_mark.line + (1 if value.end_mark.column else 0)
-            while end > name.start_mark.line + 1 and not lines[end - 1].strip():
-                end -= 1
+            end = _last_line(value) + 1
             return "".join(lines[: name.start_mark.line]) + block + "".join(lines[end:])
     return text + ("" if text.endswith("\n") or not text else "\n") + block
+
+
+def _last_line(node: yaml.Node) -> int:
+    """The line on which a value ends; a block's own mark lies behind the comments that follow it."""
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = node.value[-1]
+        return _last_line(last[1] if isinstance(last, tuple) else last)
+    if isinstance(node, yaml.ScalarNode) and node.style in ("|", ">"):
+        return node.end_mark.line - 1
+    return node.end_mark.line
