@@ -6,6 +6,7 @@ lines cross in a cell the higher ink wins.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -44,8 +45,8 @@ class Layer:
         """Set the dots of lines; what lies outside is left out."""
         xs, ys, inks = [], [], []
         for (x0, y0), (x1, y1), ink, gap in lines:
-            count = int(max(abs(x1 - x0), abs(y1 - y0))) + 1
-            steps = np.arange(0, count + 1, gap) / max(1, count)
+            count = max(1, math.ceil(max(abs(x1 - x0), abs(y1 - y0))))
+            steps = np.arange(0, count + 1, gap) / count
             xs.append(x0 + (x1 - x0) * steps)
             ys.append(y0 + (y1 - y0) * steps)
             inks.append(np.full(len(steps), ink, dtype=np.uint8))

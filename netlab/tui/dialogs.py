@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import BindingType
+from textual.binding import Binding, BindingType
 from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Input, Label, OptionList
@@ -28,7 +28,10 @@ class Field:
 class Form(ModalScreen[dict[str, str] | None]):
     """Asks for a few values; Enter in the last one gives them, Esc cancels."""
 
-    BINDINGS: ClassVar[list[BindingType]] = [("escape", "cancel", "cancel")]
+    BINDINGS: ClassVar[list[BindingType]] = [
+        ("escape", "cancel", "cancel"),
+        Binding("enter", "next", "next", priority=True),  # before the field itself: keys may come in quick succession
+    ]
 
     def __init__(self, title: str, fields: Sequence[Field], note: str = "") -> None:
         super().__init__()
@@ -47,10 +50,10 @@ class Form(ModalScreen[dict[str, str] | None]):
         """Begin in the first field."""
         self.query(Input).first().focus()
 
-    def on_input_submitted(self, event: Input.Submitted) -> None:
+    def action_next(self) -> None:
         """Go on to the next field, or give the answer."""
         inputs = list(self.query(Input))
-        place = inputs.index(event.input)
+        place = inputs.index(self.focused) if isinstance(self.focused, Input) else -1
         if place + 1 < len(inputs):
             inputs[place + 1].focus()
         else:

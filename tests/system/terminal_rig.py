@@ -58,8 +58,8 @@ class Terminal:
         self._read(0.05)
 
     def find(self, text: str) -> tuple[int, int]:
-        """Where a text stands: (column, row)."""
-        for row, line in enumerate(self.lines):
+        """Where a text stands for the last time: (column, row)."""
+        for row, line in reversed(list(enumerate(self.lines))):
             if text in line:
                 return line.index(text), row
         raise AssertionError(f"{text!r} is not on the screen:\n{self.text}")
