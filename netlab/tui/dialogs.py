@@ -53,7 +53,7 @@ class Form(ModalScreen[dict[str, str] | None]):
     def action_next(self) -> None:
         """Go on to the next field, or give the answer."""
         inputs = list(self.query(Input))
-        place = inputs.index(self.focused) if isinstance(self.focused, Input) else -1
+        place = inputs.index(self.focused) if isinstance(self.focused, Input) else 0
         if place + 1 < len(inputs):
             inputs[place + 1].focus()
         else:

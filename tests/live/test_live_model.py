@@ -18,7 +18,7 @@ T0_NS = 1_800_000_000_000_000_000
 STREAMS = [{"stream": 0, "source": "a", "destination": "b", "topic": "t", "priority": 1}]
 
 
-def record(topic: str, t_s: float, **payload: Any) -> JsonRecord:
+def record(topic: str, t_s: float, /, **payload: Any) -> JsonRecord:
     node = topic.split("/")[1] if topic.count("/") > 1 else ""
     return JsonRecord(T0_NS + round(t_s * 1e9), kind_of(topic), topic, node, payload)
 

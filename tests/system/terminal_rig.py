@@ -57,10 +57,10 @@ class Terminal:
             os.write(self._fd, f"\x1b[<0;{column + 1};{row + 1}{end}".encode())
         self._read(0.05)
 
-    def find(self, text: str) -> tuple[int, int]:
-        """Where a text stands for the last time: (column, row)."""
-        for row, line in reversed(list(enumerate(self.lines))):
-            if text in line:
+    def find(self, text: str, *, left_of: int | None = None) -> tuple[int, int]:
+        """Where a text stands: (column, row); only left of a column, if one is given."""
+        for row, line in enumerate(self.lines):
+            if text in line[:left_of]:
                 return line.index(text), row
         raise AssertionError(f"{text!r} is not on the screen:\n{self.text}")
 

@@ -67,9 +67,9 @@ def begin(terminal: Terminal) -> None:
 
 def test_the_tour_from_the_first_key_to_the_last(terminal: Terminal, folder: Path) -> None:
     begin(terminal)
-    screen = terminal.until("adit")  # the map with its tunnel and who is in it
-    assert "● base" in screen
-    assert "● robot1" in screen
+    terminal.until("adit")  # the map with its tunnel and who is in it
+    terminal.find("base", left_of=70)
+    terminal.find("● robot1", left_of=70)
     terminal.press("?")
     assert "1/12  Welcome" in terminal.until("1/12")
     terminal.press("enter")
@@ -132,8 +132,8 @@ def test_the_tour_from_the_first_key_to_the_last(terminal: Terminal, folder: Pat
 
 def test_a_mouse_picks_and_acts(terminal: Terminal) -> None:
     begin(terminal)
-    column, row = terminal.find("● base")
-    terminal.click(column, row)
+    column, row = terminal.find("base", left_of=70)  # on the map
+    terminal.click(column - 2, row)
     terminal.until(lambda screen: " base  5.0, 0.0 m" in screen)
     column, row = terminal.find("x kill")
     terminal.click(column + 3, row)
