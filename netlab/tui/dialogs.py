@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Input, Label, OptionList
@@ -28,10 +28,7 @@ class Field:
 class Form(ModalScreen[dict[str, str] | None]):
     """Asks for a few values; Enter in the last one gives them, Esc cancels."""
 
-    BINDINGS: ClassVar[list[BindingType]] = [
-        ("escape", "cancel", "cancel"),
-        Binding("enter", "next", "next", priority=True),  # before the field itself: keys may come in quick succession
-    ]
+    BINDINGS: ClassVar[list[BindingType]] = [("escape", "cancel", "cancel")]
 
     def __init__(self, title: str, fields: Sequence[Field], note: str = "") -> None:
         super().__init__()
@@ -50,12 +47,12 @@ class Form(ModalScreen[dict[str, str] | None]):
         """Begin in the first field."""
         self.query(Input).first().focus()
 
-    def action_next(self) -> None:
+    def on_input_submitted(self, event: Input.Submitted) -> None:
         """Go on to the next field, or give the answer."""
         inputs = list(self.query(Input))
-        place = inputs.index(self.focused) if isinstance(self.focused, Input) else 0
+        place = inputs.index(event.input)
         if place + 1 < len(inputs):
-            inputs[place + 1].focus()
+            self.set_focus(inputs[place + 1])
         else:
             answers = zip(self._fields, inputs, strict=True)
             self.dismiss({field.key: entry.value.strip() for field, entry in answers})

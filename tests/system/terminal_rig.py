@@ -75,9 +75,10 @@ class Terminal:
         return self.text
 
     def settle(self) -> None:
-        """Read until it has written nothing for half a second: a new dialog has the focus then."""
-        while self._read(0.5):
-            pass
+        """Read for as long as a person needs between two keys: what the last one did has been done then."""
+        deadline = time.monotonic() + 0.5
+        while (left_s := deadline - time.monotonic()) > 0:
+            self._read(left_s)
 
     def end(self, *, within_s: float = 30.0) -> int:
         """Wait for its end; returns the exit code."""
