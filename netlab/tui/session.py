@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from netlab.capture.records import Record
 from netlab.cli.terminal import exec_with_terminal
-from netlab.errors import LabError
+from netlab.errors import NetlabError
 from netlab.lab.facade import Lab
 from netlab.live.feed import Feed
 
@@ -65,6 +65,7 @@ class LabSession:
     def __init__(self, lab: Lab) -> None:
         self.lab = lab
         self._feed: Feed | None = None
+        self._interrupted = False
         self.files: list[tuple[str, Path]] = [("capture", lab.capture)]
 
     @property
@@ -102,6 +103,7 @@ class LabSession:
     def act(self, do: str, **values: Any) -> dict[str, Any]:
         """Do something to it."""
         reply = self.lab.act(do, **values)
+        self._interrupted |= do == "record"
         if do == "record" and values.get("file"):
             self.files.append(("capture", Path(values["file"])))
         return reply
@@ -122,9 +124,12 @@ class LabSession:
     def report(self) -> str:
         """The verdict, once the scenario has come to its end."""
         try:
-            return self.lab.finish().report()
-        except LabError as error:
+            report = self.lab.finish().report()
+        except NetlabError as error:
             return str(error)
+        if self._interrupted:
+            return f"{report}\n\nthe recording was interrupted: this is what {self.lab.capture.name} holds"
+        return report
 
     def close(self) -> None:
         """End it."""
