@@ -164,6 +164,7 @@ def test_a_robot_is_moved_a_relay_placed_and_a_shell_opened(terminal: Terminal) 
     terminal.until(lambda screen: any("relay1" in line[:70] for line in screen.splitlines()))  # on the map
     terminal.press("s")
     terminal.until("A shell in robot1")
+    terminal.until(lambda _screen: terminal.raw.endswith((b"# ", b"$ ")))  # the shell's prompt
     terminal.press("hostname; exit 0\r")
     terminal.until(lambda _screen: b"\nrobot1\r\n" in terminal.raw)
     terminal.until(lambda _screen: terminal.raw.count(b"\x1b[?1049h") == 2)  # the application is back
