@@ -20,6 +20,7 @@ from netlab.medium.verdicts import VERDICT_RECORD
 
 _READ_BYTES = 256 * 1024
 _MAX_LINE_BYTES = 1024 * 1024
+_PRESENCE = ("peer_up", "peer_down")  # events that a state is made of
 
 
 class Feed(Protocol):
@@ -133,6 +134,8 @@ class EventFeed(_Lines):
             line = json.dumps(record).encode()
         channel = self._topics.json(request.topic, {"node": request.node, "process": request.process})
         self._topics.writer.add_message(channel, t_ns, t_ns, line)
+        if record.get("event") in _PRESENCE:
+            self._topics.writer.keep(channel, str(record.get("peer")), t_ns, line)
 
 
 _LEVEL = re.compile(r"\b(DEBUG|INFO|WARN|WARNING|ERROR|CRITICAL|FATAL)\b", re.IGNORECASE)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
+from typing import Protocol
 
 from netlab.capture import schemas
-from netlab.capture.writer import CaptureWriter
 
 VERDICTS_TOPIC = "/air/verdicts"
 SNAPLEN = 262144
+_KEPT_ACTS = 10_000
 _ARPHRD_TO_LINKTYPE = {
     1: 1,  # Ethernet
     772: 1,  # loopback
@@ -30,12 +31,26 @@ def log_topic(node: str, process: str) -> str:
     return f"/{node}/log/{process}"
 
 
-class Topics:
-    """The channels of one file."""
+class Writer(Protocol):
+    """What takes channels and messages; a file's writer, or several outlets."""
 
-    def __init__(self, writer: CaptureWriter) -> None:
+    def add_channel(self, topic: str, schema: schemas.Schema, metadata: Mapping[str, str]) -> int:
+        """Declare a channel and return its number."""
+
+    def add_message(self, channel: int, log_ns: int, publish_ns: int, head: bytes, body: bytes = b"") -> None:
+        """Record ``head + body`` on a channel."""
+
+    def keep(self, channel: int, key: Hashable, log_ns: int, data: bytes) -> None:
+        """Remember a message as what stands for ``key`` on its channel from now on."""
+
+
+class Topics:
+    """The channels of one recorder."""
+
+    def __init__(self, writer: Writer) -> None:
         self.writer = writer
         self._channels: dict[str, int] = {}
+        self._timeline_length = 0
 
     def packets(self, node: str, interface: str, hardware_type: int) -> tuple[int, int]:
         """Return (channel, linktype) for an interface; ``hardware_type`` is its ARPHRD number."""
@@ -58,7 +73,18 @@ class Topics:
     def add_json(self, topic: str, payload: Mapping[str, object], t_ns: int) -> None:
         """Record one object of the lab's own."""
         body = json.dumps(payload, separators=(",", ":"), default=str).encode()
-        self.writer.add_message(self.json(topic, {}), t_ns, t_ns, body)
+        channel = self.json(topic, {})
+        self.writer.add_message(channel, t_ns, t_ns, body)
+        self.writer.keep(channel, self._stands_for(topic, payload), t_ns, body)
+
+    def _stands_for(self, topic: str, payload: Mapping[str, object]) -> Hashable:
+        """What a late onlooker has to know one message of: each link, each act, and one map and one set of poses."""
+        if topic == "/links":
+            return tuple(str(payload.get(key)) for key in ("segment", "from", "to"))
+        if topic == "/timeline":
+            self._timeline_length += 1
+            return self._timeline_length % _KEPT_ACTS
+        return None
 
     def _channel(self, topic: str, schema: schemas.SchemaMaker, metadata: Mapping[str, str]) -> int:
         channel = self._channels.get(topic)

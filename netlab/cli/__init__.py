@@ -16,7 +16,7 @@ from netlab.errors import NetlabError
 
 #: command -> (module, one line of help); the help is repeated here so that `netlab --help` imports nothing.
 COMMANDS = {
-    "lab": ("run", "Run a scenario with a live status (interactive lab)."),
+    "lab": ("lab", "Run a scenario on a live screen and act on it (interactive lab)."),
     "run": ("run", "Run a scenario, evaluate its expectations."),
     "up": ("up", "Start a lab in the background."),
     "down": ("background", "Stop a lab."),

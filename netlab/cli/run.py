@@ -1,4 +1,4 @@
-"""`netlab run` and `netlab lab`: a scenario from start to end, with progress on stderr and the verdict on stdout."""
+"""`netlab run`: a scenario from start to end, with progress on stderr and the verdict on stdout."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def run(
         sys.exit(status)
     lab = Lab(file, engine=engine, seed=seed, overrides=overrides, capture=capture)
     lab.record_packets(capture is not None or needs_packets(lab.scenario))
-    result = _run(lab)
+    result = run_with_status(lab)
     if as_json:
         click.echo(json.dumps(result.summary, indent=2))
         if complaints := result.complaints():
@@ -85,24 +85,8 @@ def _words(*, engine: str | None, seed: int | None, overrides: tuple[str, ...], 
     return words + (["--json"] if as_json else [])
 
 
-DEFAULT_SCENARIO = Path("topologies/default.yaml")
-
-
-@click.command()
-@click.argument("file", type=click.Path(path_type=Path), default=DEFAULT_SCENARIO)
-@with_scenario_options
-@click.option("--capture", type=click.Path(path_type=Path, dir_okay=False), help="Keep the capture (MCAP) here.")
-def lab(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, ...], capture: Path | None) -> None:
-    """Run FILE with a live status of nodes, links and streams; act on it from another terminal (`netlab link ...`)."""
-    kept = capture or Path("captures") / f"{file.stem}.mcap"
-    running = Lab(file, engine=engine, seed=seed, overrides=overrides, capture=kept)
-    result = _run(running)
-    click.echo(result.report())
-    click.echo(f"capture: {kept}  (netlab inspect {kept})")
-    sys.exit(result.exit_code)
-
-
-def _run(lab: Lab) -> RunResult:
+def run_with_status(lab: Lab) -> RunResult:
+    """Run a lab to its end with its status on stderr; Ctrl-C and SIGTERM take it down in good order."""
     status = Status(lab.scenario, sys.stderr)
     for signum in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: the lab and its temporary capture go in good order
         signal.signal(signum, signal.default_int_handler)

@@ -29,6 +29,7 @@ from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import MachineError, NetlabError
 from netlab.ipc import start_module
 from netlab.kernel import syscalls
+from netlab.lab.acts import Acts
 from netlab.lab.box import run_in_box
 from netlab.lab.control import ControlServer
 from netlab.lab.isolation import keep_paths
@@ -86,6 +87,7 @@ class Supervisor:
         self._bring_up_s += mesh_interfaces.bring_up(self.plan, self._engine.namespace_fds)
         self.links = Links(self.plan, self._engine)
         self.recording = self._start_recording()
+        self.recording.journal = self._folder.journal
         self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
         self.processes.open_events = self.recording.open_events
         self.processes.on_line = self.recording.line
@@ -105,11 +107,14 @@ class Supervisor:
         folder = self._folder.path
         self.run.specs_of = lambda node: node_processes(self._scenario, node, folder, self.plan)
         self.run.on_start = self.motion.begin
+        self.run.forestall = self.motion.forestall
+        self.motion.held_ns = lambda: round(self.run.motion_standstill.total_s(self.run.t_s or 0.0) * 1e9)
         self.motion.on_failure = self._fail
         self.run.in_contact = lambda a, b: self.motion.in_contact(a, b)
         specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
-        self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
+        self.acts = Acts(self)
+        self._control = ControlServer(self._folder.control_socket, Requests(self, self.acts).handle)
 
     def _plan_at_start(self) -> LabPlan:
         """Put the radios that go by positions on the air; returns the plan of who hears whom then."""
@@ -186,6 +191,9 @@ class Supervisor:
             "t_s": self.run.t_s,
             "t0_ns": self.run.t0_ns,
             "duration_s": self._scenario.duration_s,
+            "end_s": self.run.end_s,
+            "held": self.run.schedule.is_held,
+            "coming": self.run.coming(),
             "bring_up_s": self._bring_up_s,
             "nodes": list(self.plan.nodes),
             "processes": [process.describe() for process in self.processes.all()],
@@ -197,6 +205,8 @@ class Supervisor:
             "worst_stall_s": self._stalls.worst_s,
             "medium": self._engine.timing(),
             "capture": str(self._options.capture) if self._options.capture else None,
+            "recording": self.recording.file,
+            "undo": self.acts.next_undo,
             "recorder": self._recorder_stats,
             "used": self._used,
         }
