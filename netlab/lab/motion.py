@@ -67,7 +67,7 @@ class Motion:
         terrain = self._scenario.terrain
         if terrain is not None:
             passages = [Passage(t.name, t.path, t.width_m, t.height_m) for t in terrain.tunnel_map.tunnels]
-            self._recording.message("/map", map_message(passages, now_ns), now_ns)
+            self._recording.message("/map", map_message(passages), now_ns)
         self._record_poses(0.0, now_ns)
 
     def begin(self, t0_ns: int) -> None:
@@ -161,7 +161,7 @@ class Motion:
         for node, track in zip(self._scenario.nodes, self.tracks, strict=True):
             state = track.at(at_s)
             poses.append(Pose(node, state.position_m, state.heading_deg, at_s >= track.active_from_s))
-        self._recording.message("/poses", poses_message(poses, at_s, now_ns), now_ns)
+        self._recording.message("/poses", poses_message(poses, at_s), now_ns)
 
 
 def set_in_motion(scenario: Scenario, plan: LabPlan, links: Links, recording: Recording) -> Motion:

@@ -15,6 +15,7 @@ from netlab.capture.handle import Recorder
 from netlab.capture.onlookers import Declaration, Onlooker
 from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind
+from netlab.capture.scene import Pose, map_message, poses_message
 from netlab.capture.schemas import json_schema_for
 from netlab.ipc import Channel
 from netlab.live.feed import Feed
@@ -87,11 +88,11 @@ def test_an_onlooker_sees_what_the_file_gets(recorder: Recorder, follow: Follow,
 
 
 def test_who_comes_late_gets_what_is_static(recorder: Recorder, follow: Follow) -> None:
-    recorder.message("/map", {"entities": []}, T0_NS)
+    recorder.message("/map", map_message([]), T0_NS)
     recorder.message("/links", link("up"), T0_NS + 1)
     recorder.message("/links", link("outage"), T0_NS + 2)
     for number in range(3):
-        recorder.message("/poses", {"nodes": ["a"], "t_s": number}, T0_NS + 3 + number)
+        recorder.message("/poses", poses_message([Pose("a", (0, 0, 0), 0.0, True)], number), T0_NS + 3 + number)
         recorder.message("/timeline", {"kind": "mark", "label": str(number)}, T0_NS + 3 + number)
     read, write = os.pipe()
     recorder.add_feed("events", "/a/udp_mesh/events", "a", "udp_mesh", read)
@@ -105,7 +106,7 @@ def test_who_comes_late_gets_what_is_static(recorder: Recorder, follow: Follow) 
     by_kind = {kind: [record.payload for record in seen if record.kind is kind] for kind in Kind}
     assert len(by_kind[Kind.MAP]) == 1
     assert [row["state"] for row in by_kind[Kind.LINKS]] == ["outage"]
-    assert [row["t_s"] for row in by_kind[Kind.POSES]] == [2]
+    assert [row["stamp_ns"] for row in by_kind[Kind.POSES]] == [T0_NS + 5]
     assert [row["label"] for row in by_kind[Kind.TIMELINE]] == ["0", "1", "2"]
     assert [row["event"] for row in by_kind[Kind.EVENT]] == ["peer_up"]
 
@@ -164,7 +165,7 @@ def test_packets_come_only_if_wanted() -> None:
 
 def test_a_recording_ends_and_another_one_begins(recorder: Recorder, follow: Follow, tmp_path: Path) -> None:
     feed = follow()
-    recorder.message("/map", {"entities": []}, T0_NS)
+    recorder.message("/map", map_message([]), T0_NS)
     recorder.message("/timeline", {"kind": "mark", "label": "in the first"}, T0_NS + 1)
     recorder.close_file()
     recorder.message("/timeline", {"kind": "mark", "label": "in none"}, T0_NS + 2)
