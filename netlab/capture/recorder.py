@@ -44,6 +44,7 @@ from netlab.capture.topics import Topics
 from netlab.ipc import Channel
 
 METADATA_NAME = "netlab.run"
+LOSSES_NAME = "netlab.losses"
 _FLUSH_EVERY_S = 1.0
 _TELL_WITHIN_S = 0.2
 _LAST_SEND_S = 0.5  # for onlookers that do not read
@@ -120,6 +121,7 @@ class Recorder:
             case SetMetadata() if self._topics:
                 self._metadata |= message.values
                 self._outlets.add_metadata(METADATA_NAME, self._metadata)
+                self._topics.t0_ns = message.t0_ns
             case Subscribe() if self._topics:
                 self._outlets.join(Onlooker(socket.socket(fileno=fds[0]), packets=message.packets))
             case OpenFile() if self._topics:
@@ -195,6 +197,8 @@ class Recorder:
             self._send(Notice(writer.error))
 
     def _every_second(self) -> None:
+        if self._topics is not None:
+            self._topics.draw(time.time_ns())
         if self._outlets.writer is not None:
             self._outlets.writer.flush()
         for sniffer in self._sniffers:
@@ -211,6 +215,8 @@ class Recorder:
         for feed in self._feeds:
             feed.close()
             self._dropped_lines += feed.dropped
+        if self._topics is not None:
+            self._outlets.add_metadata(LOSSES_NAME, self._losses())
         self._outlets.close()
         self._onlookers.close(within_s=_LAST_SEND_S)
         return self._stats()
@@ -229,6 +235,11 @@ class Recorder:
                 by_fd[fd].drain()
         for sniffer in self._sniffers:
             sniffer.close()
+
+    def _losses(self) -> dict[str, str]:
+        """What the file lacks, by topic, so that it tells so itself."""
+        packets = {f"/{sniffer.node}/*/packets": str(sniffer.drops) for sniffer in self._sniffers if sniffer.drops}
+        return {**packets, "lines of feeds": str(self._dropped_lines)}
 
     def _stats(self) -> RecorderStats:
         files = self._outlets.files
