@@ -23,7 +23,7 @@ import yaml
 import netlab
 from netlab.errors import LabError
 from netlab.lab.control import ControlClient
-from netlab.lab.launch import LabProcess, LaunchOptions, launch, make_room
+from netlab.lab.launch import LabProcess, LaunchOptions, OnStage, launch, make_room
 from netlab.lab.nursery import Nursery
 from netlab.lab.results import RunResult, evaluate_run
 from netlab.lab.saving import Original, read_journal, save
@@ -84,8 +84,8 @@ class Lab:
 
     # -- life -----------------------------------------------------------------------------------------------------
 
-    def start(self) -> Lab:
-        """Bring the lab up; returns when every process has reported ready.
+    def start(self, on_stage: OnStage = lambda what: None) -> Lab:
+        """Bring the lab up; returns when every process has reported ready. ``on_stage`` hears how far it is.
 
         Raises:
             MachineError: This machine cannot run it.
@@ -102,12 +102,13 @@ class Lab:
         options = LaunchOptions(
             engine=self._engine,
             scenario_text=self._text,
+            overrides=self._original.overrides,
             capture=self.capture,
             packets=self._packets,
             keep_visible=keep,
         )
         try:
-            self._process = launch(self.scenario, options, self._nursery)
+            self._process = launch(self.scenario, options, self._nursery, on_stage)
         except BaseException:
             self.close()  # a temporary capture must not stay
             raise

@@ -374,13 +374,16 @@ def _joins(entry: Entry) -> dict[str, Any]:
     return {key: value for key, value in named.items() if value}
 
 
-async def wait_ready(processes: list[Process], limit_s: float) -> None:
+async def wait_ready(processes: list[Process], limit_s: float, tell: Callable[[str], None] = lambda what: None) -> None:
     """Return when all are ready; one that reports no readiness and came to a good end has done its work.
+
+    ``tell`` hears how far it is.
 
     Raises:
         LabError: One ended first, or is not ready in time; with its argv, exit code and last log lines.
     """
-    for process in processes:
+    for number, process in enumerate(processes):
+        tell(f"starting processes: {number} of {len(processes)} ready")
         if process.spec.waits_for_ready or process.exit_status != 0:
             await wait_for_state(process, State.READY, limit_s)
 

@@ -16,10 +16,12 @@ import pickle
 import resource
 import signal
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from netlab.capture.layout import LAYOUT_NAME, layout_file
 from netlab.capture.metadata import run_metadata
 from netlab.clock import begin_in_step, clock_here
 from netlab.engines import mesh_interfaces
@@ -63,6 +65,8 @@ class Supervisor:
         self._failures: list[str] = []
         self._scenario_task: asyncio.Task[None] | None = None
         self._stalls = StallWatch()
+        #: Told what is being done while the lab comes up.
+        self.tell: Callable[[str], None] = lambda what: None
 
     # -- building -------------------------------------------------------------------------------------------------
 
@@ -83,6 +87,7 @@ class Supervisor:
         self._engine_name, self._engine = make_engine(self._options.engine, self.plan, later)
         channel, _pid = start_module("netlab.lab.spawner")
         begin_in_step()
+        self.tell(f"connecting {len(self.plan.nodes)} nodes")
         self._bring_up_s = self._engine.bring_up()
         self._bring_up_s += mesh_interfaces.bring_up(self.plan, self._engine.namespace_fds)
         self.links = Links(self.plan, self._engine)
@@ -112,7 +117,7 @@ class Supervisor:
         self.motion.on_failure = self._fail
         self.run.in_contact = lambda a, b: self.motion.in_contact(a, b)
         specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
-        await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
+        await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S, self.tell)
         self.acts = Acts(self)
         self._control = ControlServer(self._folder.control_socket, Requests(self, self.acts).handle)
 
@@ -132,6 +137,7 @@ class Supervisor:
         traffic = self._scenario.traffic
         metadata = run_metadata(
             scenario_text=self._options.scenario_text,
+            overrides=self._options.overrides,
             engine=self._engine_name,
             clock=clock_here(),
             duration_s=self._scenario.duration_s,
@@ -139,7 +145,8 @@ class Supervisor:
             streams=streams,
             kept_latest=[stream.index for stream in streams if traffic[stream.entry].offline == "latest"],
         )
-        recording = Recording.start(self._options.capture, metadata, {}, len(self.plan.nodes))
+        attachments = {LAYOUT_NAME: layout_file(metadata)}
+        recording = Recording.start(self._options.capture, metadata, attachments, len(self.plan.nodes))
         if self._options.packets:
             for node in self.plan.nodes:
                 interfaces = [port.ifname for port in self.plan.ports if port.node == node]
@@ -263,14 +270,19 @@ def _reap_orphans() -> None:
 
 
 def _say(ready_fd: int, answer: dict[str, Any]) -> None:
-    os.write(ready_fd, json.dumps(answer).encode() + b"\n")
+    _write(ready_fd, answer)
     os.close(ready_fd)
+
+
+def _write(ready_fd: int, told: dict[str, Any]) -> None:
+    os.write(ready_fd, json.dumps(told).encode() + b"\n")
 
 
 async def _main(folder: LabFolder, ready_fd: int) -> int:
     scenario, options = pickle.loads((folder.path / "scenario.pickle").read_bytes())
     try:
         supervisor = Supervisor(folder, scenario, options)
+        supervisor.tell = lambda what: _write(ready_fd, {"stage": what})
         await supervisor.build()
     except NetlabError as error:
         _say(ready_fd, {"error": str(error), "kind": "machine" if isinstance(error, MachineError) else "lab"})

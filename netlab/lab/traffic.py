@@ -204,13 +204,15 @@ class _Sink:
         if stream is None:
             return None
         self._delivered[stream.stream].add(seq)
-        self._recent_s[stream.stream].append((t_ns - published_ns) / 1e9)
+        latency_s = (t_ns - published_ns) / 1e9
+        self._recent_s[stream.stream].append(latency_s)
         return {
             "event": "received",
             "stream": stream.stream,
             "seq": seq,
             "published_ns": published_ns,
             "t_ns": t_ns,
+            "latency_s": latency_s,
             "size_bytes": len(message.payload),
             "source": message.source,
         }
