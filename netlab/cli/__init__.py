@@ -29,6 +29,7 @@ COMMANDS = {
     "check": ("check", "Validate a scenario file and print every problem."),
     "inspect": ("inspect", "Look into a capture."),
     "report": ("report", "Draw a page of plots from a capture."),
+    "foxglove": ("foxglove", "Show a running lab to Foxglove, live."),
     "export": ("export", "Export a capture's packets to pcapng."),
     "wireshark": ("wireshark", "Install the dissectors for Wireshark and tshark."),
     "vm": ("vm", "Run a command in a throw-away kernel, in real or virtual time."),
