@@ -121,7 +121,8 @@ class Recorder:
             case SetMetadata() if self._topics:
                 self._metadata |= message.values
                 self._outlets.add_metadata(METADATA_NAME, self._metadata)
-                self._topics.t0_ns = message.t0_ns
+                if "t0_ns" in message.values:
+                    self._topics.t0_ns = int(message.values["t0_ns"])
             case Subscribe() if self._topics:
                 self._outlets.join(Onlooker(socket.socket(fileno=fds[0]), packets=message.packets))
             case OpenFile() if self._topics:
