@@ -25,7 +25,7 @@ from netlab.tui.dialogs import Choice, Field, Form
 from netlab.tui.key_bar import KeyBar
 from netlab.tui.map_view import MapView
 from netlab.tui.panels import Standing
-from netlab.tui.session import Session
+from netlab.tui.session import Session, short
 from netlab.tui.tour import Deed, Tour
 
 _STATUS_EVERY_S = 0.5
@@ -412,7 +412,7 @@ class MainScreen(Screen[None]):
         """Ask for a file, and save what was done as a scenario."""
         proposed = _unused(self._captures, f"{self.session.title}-replay", ".yaml")
         answer = await self.app.push_screen_wait(
-            Form("Save all that was done as a scenario", [Field("file", "file", _short(proposed))])
+            Form("Save all that was done as a scenario", [Field("file", "file", short(proposed))])
         )
         if answer is None:
             return
@@ -456,8 +456,3 @@ def _unused(folder: Path, stem: str, suffix: str) -> Path:
     """A file in a folder that is not there yet."""
     names = (f"{stem}{suffix}", *(f"{stem}-{number}{suffix}" for number in range(2, 10_000)))
     return next(path for name in names if not (path := folder / name).exists())
-
-
-def _short(path: Path) -> str:
-    """Relative to where we are, where that is shorter."""
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
