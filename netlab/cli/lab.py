@@ -35,15 +35,17 @@ def lab(
     Without FILE choose one of topologies/. Without a terminal: lines of progress, the verdict, and its exit code.
     """
 
+    def kept(scenario: Path) -> Path:
+        return capture or Path("captures") / f"{scenario.stem}.mcap"
+
     def make(scenario: Path) -> Lab:
-        kept = capture or Path("captures") / f"{scenario.stem}.mcap"
-        return Lab(scenario, engine=engine, seed=seed, overrides=overrides, capture=kept)
+        return Lab(scenario, engine=engine, seed=seed, overrides=overrides, capture=kept(scenario))
 
     if plain or not _has_screen():
-        running = make(file or DEFAULT_SCENARIO)
-        result = run_with_status(running)
+        file = file or DEFAULT_SCENARIO
+        result = run_with_status(make(file))
         click.echo(result.report())
-        click.echo(f"capture: {running.capture}  (netlab inspect {running.capture})")
+        click.echo(f"capture: {kept(file)}  (netlab inspect {kept(file)})")
         sys.exit(result.exit_code)
     _on_screen(make, file)
 

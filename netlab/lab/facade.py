@@ -293,6 +293,8 @@ class Lab:
             LabError: The file cannot be written.
             ScenarioError: It does not load, as it names files that are not beside it.
         """
+        if not self._text:
+            raise LabError("this lab was started from a scenario without a text; start it from a file or a mapping")
         rows = read_journal(self._running.folder.journal)
         end_s = max(0.0, self.status()["t_s"] or 0.0)
         return save(Path(path), self._original, rows, duration_s=self.scenario.duration_s, end_s=end_s)

@@ -76,9 +76,7 @@ class Schedule:
         return None if self.is_held or not self._coming else self.run_s(self._coming[0].at_s, now_s)
 
     def take_due(self, now_s: float) -> list[Entry]:
-        """Take the entries that are due."""
-        if self.is_held:
-            return []
+        """Take the entries that are due; while the timeline is held none becomes so."""
         script_s = self.script_s(now_s)
         return self._take(len(list(takewhile(lambda entry: entry.at_s <= script_s, self._coming))), now_s)
 

@@ -18,7 +18,7 @@ from textual.widgets import Label, LoadingIndicator
 from netlab.errors import NetlabError
 from netlab.tui.chooser import Chooser, Topology
 from netlab.tui.screen import MainScreen
-from netlab.tui.session import Session
+from netlab.tui.session import Session, short
 
 _RATE_HZ, _REMOTE_RATE_HZ = 5.0, 2.0
 
@@ -95,7 +95,7 @@ class LabApp(App[NetlabError | None]):
         screens = [screen for screen in self._seen if screen.verdict]
         verdict = f"{screens[-1].verdict}\n\n" if screens else ""
         files = self.session.files if self.session is not None else ()
-        return verdict + "\n".join(f"{kind}: {file}" for kind, file in files)
+        return verdict + "\n".join(f"{kind}: {short(file)}" for kind, file in files)
 
     def get_system_commands(self, screen: Screen[object]) -> list[SystemCommand]:
         """The keys of the main screen by their names, for the palette."""

@@ -80,5 +80,5 @@ class Chooser(Screen[Path | None]):
     def _line(topology: Topology) -> Text:
         text = Text(no_wrap=True, overflow="ellipsis")
         text.append(f"{topology.file.stem:<18}", style=f"bold {palette.ACCENT}")
-        text.append(topology.about.partition(":")[0].partition(".")[0], style=palette.DIM)
+        text.append(topology.about.partition(". ")[0], style=palette.TEXT)
         return text

@@ -10,6 +10,7 @@ from textual.widgets import Static
 from netlab.tui import palette
 
 _ACTION = "netlab_action"
+_WIDE = 96
 #: Lines of groups: (what they act on, ((key, word, action), ...)).
 _LINES = (
     (
@@ -18,7 +19,7 @@ _LINES = (
             "node ←→",
             (
                 ("m", "move", "move"),
-                ("p", "place relay", "deploy"),
+                ("p", "place", "deploy"),
                 ("x", "kill", "kill"),
                 ("r", "restart", "restart"),
                 ("s", "shell", "shell"),
@@ -37,7 +38,11 @@ class KeyBar(Static):
     """Two lines of keys."""
 
     def __init__(self, *, id: str | None = None) -> None:
-        super().__init__(key_text(), id=id)
+        super().__init__("", id=id)
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Fit into the width."""
+        self.update(key_text(event.size.width))
 
     async def on_click(self, event: events.Click) -> None:
         """Do what the key would."""
@@ -46,15 +51,16 @@ class KeyBar(Static):
             await self.run_action(action if "." in action else f"screen.{action}")
 
 
-def key_text() -> Text:
-    """The two lines."""
+def key_text(width: int) -> Text:
+    """The two lines; on a narrow screen without what the groups act on."""
+    wide = width >= _WIDE
     text = Text(no_wrap=True)
     for groups in _LINES:
         for place, (name, keys) in enumerate(groups):
-            text.append(f"{' │' if place else ''} {name}", style=palette.DIM)
+            text.append(f"{' │' if place else ''}{f' {name} ' if wide else ''}", style=palette.DIM)
             for key, word, action in keys:
                 meta = Style.from_meta({_ACTION: action})
-                text.append(f"  {key} ", style=Style(color=palette.ACCENT, bold=True) + meta)
+                text.append(f" {key} ", style=Style(color=palette.ACCENT, bold=True) + meta)
                 text.append(word, style=Style(color=palette.TEXT) + meta)
         text.append("\n")
     return text

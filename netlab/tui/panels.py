@@ -144,13 +144,16 @@ def streams_text(model: LiveModel, *, width: int, lines: int) -> Text:
     """
     now_s = model.now_ns / 1e9
     text = Text(no_wrap=True, overflow="ellipsis")
-    name_width = 26 if width < 100 else 34
-    spark = max(8, min(60, width - name_width - 34))
-    text.append(f" {'':<{name_width}}{'median':>9}{'p99':>9}{'delivered':>13}  last {spark} s\n", style=palette.DIM)
+    wide = width >= 62
+    name_width = 34 if width >= 100 else 26 if wide else 17
+    percents = (50, 99) if wide else (50,)
+    spark = max(0, min(60, width - name_width - 16 - 9 * len(percents)))
+    heads = "".join(f"{head:>9}" for head in ("median", "p99")[: len(percents)])
+    text.append(f" {'':<{name_width}}{heads}{'delivered':>13}  last {spark} s\n", style=palette.DIM)
 
     def line(name: str, window: LatencyWindow, count: str, colour: str, *, bold: bool, lacks: bool) -> None:
         text.append(f" {name[: name_width - 1]:<{name_width}}", style=f"bold {colour}" if bold else colour)
-        for percent in (50, 99):
+        for percent in percents:
             latency_s = window.percentile_s(percent, now_s=now_s)
             text.append(f"{_ms(latency_s):>9}", style=palette.latency(latency_s))
         text.append(f"{count:>13}  ", style=palette.WARNING if lacks else palette.DIM)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,6 +16,7 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from netlab.errors import NetlabError
+from netlab.lab.programs import SINK, SOURCE
 from netlab.live.links import Grade
 from netlab.live.model import LiveModel
 from netlab.scenario.quantities import DURATION
@@ -24,7 +25,7 @@ from netlab.tui.dialogs import Choice, Field, Form
 from netlab.tui.key_bar import KeyBar
 from netlab.tui.map_view import MapView
 from netlab.tui.panels import Standing
-from netlab.tui.session import Session
+from netlab.tui.session import Session, short
 from netlab.tui.tour import Deed, Tour
 
 _STATUS_EVERY_S = 0.5
@@ -351,9 +352,10 @@ class MainScreen(Screen[None]):
         if node is None:
             return
         processes = self.standing.processes_of(node)
-        names = [str(process["process"]) for process in processes if fits(str(process["state"]))]
+        own = [process for process in processes if process["process"] not in (SOURCE, SINK)]  # the rest is the lab's
+        names = [str(process["process"]) for process in own if fits(str(process["state"]))]
         if not names:
-            self._say(f"{node} has no such process: {_listed(processes)}", bad=True)
+            self._say(f"{node} has no such process: {_listed(own)}", bad=True)
             return
         name = names[0] if len(names) == 1 else await self.app.push_screen_wait(Choice(question, names))
         if name is not None:
@@ -410,7 +412,7 @@ class MainScreen(Screen[None]):
         """Ask for a file, and save what was done as a scenario."""
         proposed = _unused(self._captures, f"{self.session.title}-replay", ".yaml")
         answer = await self.app.push_screen_wait(
-            Form("Save all that was done as a scenario", [Field("file", "file", _short(proposed))])
+            Form("Save all that was done as a scenario", [Field("file", "file", short(proposed))])
         )
         if answer is None:
             return
@@ -446,7 +448,7 @@ class MainScreen(Screen[None]):
         panel.update(panels.tour_text(step.title, step.text, self.tour.place))
 
 
-def _listed(processes: list[Mapping[str, Any]]) -> str:
+def _listed(processes: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(f"{process['process']} is {process['state']}" for process in processes) or "it runs nothing"
 
 
@@ -454,8 +456,3 @@ def _unused(folder: Path, stem: str, suffix: str) -> Path:
     """A file in a folder that is not there yet."""
     names = (f"{stem}{suffix}", *(f"{stem}-{number}{suffix}" for number in range(2, 10_000)))
     return next(path for name in names if not (path := folder / name).exists())
-
-
-def _short(path: Path) -> str:
-    """Relative to where we are, where that is shorter."""
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
