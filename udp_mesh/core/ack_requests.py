@@ -23,17 +23,19 @@ class AckRequests:
         self._packets = 0
         self._bytes = 0
 
-    def flags(self, size_bytes: int, *, stalls: bool, spacing_bytes: float) -> int:
+    def flags(self, size_bytes: int, *, stalls: bool, repeats: bool, spacing_bytes: float) -> int:
         """Return the header flags of a packet that leaves.
 
         Args:
             size_bytes: Its size.
             stalls: Nothing follows before something is acknowledged, or nothing at all.
+            repeats: It holds what was lost before.
             spacing_bytes: After how many an acknowledgement is worth its airtime; 0 leaves it to the receiver.
         """
         self._packets += 1
         self._bytes += size_bytes
-        if stalls or (0 < spacing_bytes <= self._bytes and self._packets >= LEAST_PACKETS):
+        is_due = repeats or (self._bytes >= spacing_bytes and self._packets >= LEAST_PACKETS)
+        if stalls or (spacing_bytes > 0 and is_due):
             self._packets = self._bytes = 0
             return wire.FLAG_ACK_NOW
         return wire.FLAG_ACK_LATER if spacing_bytes > 0 else 0

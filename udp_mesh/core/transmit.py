@@ -135,7 +135,9 @@ class Transmitter:
             session.ping_wanted = False
             frames.append(wire.PING)
             parts = []
-        out.append(self._packet(peer, frames, parts, priority=_PING_PRIORITY, flags=wire.FLAG_ACK_NOW, path=path, now=now))
+        out.append(
+            self._packet(peer, frames, parts, priority=_PING_PRIORITY, flags=wire.FLAG_ACK_NOW, path=path, now=now)
+        )
 
     def _run_length(self, peer: Peer, transfer: Transfer, *, limit: int, now: float) -> int:
         """Return how many packets of nothing but this message may leave now; less than 2 is no run."""
@@ -212,11 +214,12 @@ class Transmitter:
         )
 
     def _ack_flags(self, peer: Peer, frames: list[bytes | memoryview], *, repeats: bool) -> int:
-        """Return whether a packet asks for an acknowledgement; ``repeats``: it holds what was lost before."""
+        """Return whether a packet asks for an acknowledgement; ``repeats``: see :meth:`AckRequests.flags`."""
         stalls = self._state.scheduler.head(peer.name) is None or not self._gate.has_window(peer, packets=2)
         return peer.session.ack_requests.flags(
             wire.HEADER_BYTES + sum(map(len, frames)),
-            stalls=stalls or repeats,
+            stalls=stalls,
+            repeats=repeats,
             spacing_bytes=peer.congestion.ack_spacing_bytes,
         )
 
