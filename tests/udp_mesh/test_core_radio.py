@@ -135,3 +135,15 @@ def test_nothing_is_lost_or_sent_twice_for_want_of_an_acknowledgement(radio: Any
     assert stats["spurious_losses"] == 0
     assert stats.get("fragments_retransmitted", 0) <= 2, "a probe at most"
     assert not net.of("robot", events.MessageDropped)
+
+
+def test_on_a_wire_acknowledgements_come_as_they_always_did(make_net: Any) -> None:
+    net = make_net(seed=3, delay_s=0.02)
+    net.add("a")
+    net.add("b")
+    net.meet()
+    net.link("a", "b", rate_bps=10e6, limit_packets=50)
+    net.keep_datagrams = True
+    net.publish("a", "bulk", bytes(1_500_000), "b")
+    assert net.run(3.0, until=lambda: len(net.delivered("b")) == 1)
+    assert not any(packet.ack_later for _at, packet in net.packets("a"))

@@ -121,11 +121,11 @@ class Beacons:
 
     def _schedule(self, *, now: float) -> None:
         interval_s = self.interval_s()
-        if not any(peer.is_online for peer in self._state.peers.values()):
-            interval_s = max(ALONE_PART * self._state.settings.beacon_interval_s, self._shared_s())
         if self._starts_sent < len(START_INTERVALS):
             start_s = max(START_INTERVALS[0], START_AIRTIMES * self._beacon_airtime_s())
             interval_s = min(interval_s, start_s * START_INTERVALS[self._starts_sent] / START_INTERVALS[0])
+        elif not any(peer.is_online for peer in self._state.peers.values()):
+            interval_s = max(ALONE_PART * self._state.settings.beacon_interval_s, self._shared_s())
         self._starts_sent += 1
         self._at_s = now + self._jittered(interval_s)
 
