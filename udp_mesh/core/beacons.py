@@ -125,7 +125,7 @@ class Beacons:
             start_s = max(START_INTERVALS[0], START_AIRTIMES * self._beacon_airtime_s())
             interval_s = min(interval_s, start_s * START_INTERVALS[self._starts_sent] / START_INTERVALS[0])
         elif not any(peer.is_online for peer in self._state.peers.values()):
-            interval_s = max(ALONE_PART * self._state.settings.beacon_interval_s, self._shared_s())
+            interval_s = min(interval_s, self._alone_s())
         self._starts_sent += 1
         self._at_s = now + self._jittered(interval_s)
 
@@ -158,6 +158,14 @@ class Beacons:
         """Return the least interval at which the whole team's beacons keep to their share of the channel."""
         shared_s = self._team() * self._beacon_airtime_s() / (STEADY_PART * self._state.settings.beacon_share)
         return min(shared_s, MAX_INTERVAL_S)
+
+    def _alone_s(self) -> float:
+        """Return the time between beacons of a node that has nobody; on the slowest path that it knew they are few."""
+        settings = self._state.settings
+        capacities_bps = (peer.congestion.capacity_bps for peer in self._state.peers.values())
+        slowest_bps = min((bps for bps in capacities_bps if bps), default=_FOREVER_S)
+        fair_s = 8 * PROBE_BYTES / (settings.beacon_share * slowest_bps)
+        return max(ALONE_PART * settings.beacon_interval_s, self._shared_s(), fair_s)
 
     def _team(self) -> int:
         return 1 + sum(peer.is_online and not peer.path.via for peer in self._state.peers.values())
