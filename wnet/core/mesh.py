@@ -249,9 +249,8 @@ class Mesh:
             self._journal.count(topology)
             return
         age_s = data.sequence * wire.AGE_UNIT_S
-        if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and any(
-            hop.peer_mac == own_mac for hop in data.hops
-        ):
+        is_relay = any(hop.peer_mac == own_mac for hop in data.hops) or self._neighbours.is_news(now=now)
+        if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and is_relay:
             self._control.relayed(data.tail, now=now)
             self._forwarder.relay_flood(data, link, now=now)
 

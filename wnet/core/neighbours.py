@@ -26,6 +26,7 @@ MAX_LINKS = 256
 LOSS_INTERVAL_S = 5.0
 """How often a new loss ratio is made."""
 _FORGET_AFTER_S = 600.0
+_NEWS_S = 1.0
 _TRAFFIC_S = 2.0
 """A link that carried data within this before it was lost is missed, and searched for often."""
 
@@ -61,6 +62,7 @@ class Neighbours:
         self.sending: dict[bytes, float] = {}
         """Of each neighbour, the part of the time that it sends."""
         self._loss_due = now + LOSS_INTERVAL_S
+        self._up_at = float("-inf")
 
     def __iter__(self) -> Iterator[Link]:
         return iter(self._links.values())
@@ -76,6 +78,11 @@ class Neighbours:
     def usable_nodes(self) -> dict[bytes, Link]:
         """Return the neighbours that can be used, with the link to use to each."""
         return self._best
+
+    def is_news(self, *, now: float) -> bool:
+        """Whether a link came up so recently that neighbours may not know it, and so not choose this node as a relay
+        where it is the only one: it then relays unasked."""
+        return now - self._up_at < _NEWS_S
 
     # -- what is heard -----------------------------------------------------------------------------------------------
 
@@ -183,6 +190,7 @@ class Neighbours:
             return
         link.is_usable = True
         link.lost_at = None
+        self._up_at = now
         link.link_id = (link.link_id + 1) & 0x0F
         self._journal.tell(LinkUp(now, link.neighbour, link.member, link.peer_mac, link.link_id))
         self._republish(now)
