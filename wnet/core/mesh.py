@@ -183,7 +183,9 @@ class Mesh:
         kind = body[0] if body else 0
         if kind == wire.HELLO:
             self._take_hello(member, source, body, reception, now)
-        elif kind not in wire.KINDS or kind in (wire.AGGREGATE, wire.SEALED):
+        elif kind == wire.SEALED:
+            self._journal.count(Drop.UNKNOWN_KEY)
+        elif kind not in wire.KINDS or kind == wire.AGGREGATE:
             self._journal.count(Drop.VERSION)
         elif link is None or not (link.is_listed or self._seal is None):
             self._journal.count(Drop.STRANGER)
