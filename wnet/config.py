@@ -82,6 +82,9 @@ class MeshConfig:
     """Least time before a frame is sent again, 0.001..10."""
     lost_after_s: float = 0.12
     """A neighbour that owes an acknowledgement and says nothing for so long is lost, 0.02..60."""
+    relay_jitter_s: float = 0.002
+    """A relay waits up to this, at random, before it sends a flood on by radio, 0..1: who heard it with this node
+    relays it, too."""
     hop_limit: int = 32
     """Transmissions in a row of one frame, 1..255."""
     redundant_dscp: int | None = None
@@ -141,6 +144,7 @@ CHECKS: dict[str, Check] = {
     "ack_delay_s": number(0, 1, whole=False),
     "rto_min_s": number(0.001, 10, whole=False),
     "lost_after_s": number(0.02, 60, whole=False),
+    "relay_jitter_s": number(0, 1, whole=False),
     "hop_limit": number(1, 255, whole=True),
     "redundant_dscp": number(0, 63, whole=True),
     "aggregate_bytes": number(0, 1500, whole=True),

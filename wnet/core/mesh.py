@@ -85,7 +85,7 @@ class Mesh:
             now=now,
         )
         self._routes = Routes(self._graph, lambda node: self._neighbours.best(node) is not None)
-        self._floods = Floods(self._graph, self._neighbours, self._outbox, self._members, config.broadcast_tries)
+        self._floods = Floods(config, self._graph, self._neighbours, self._outbox, self._members, rng)
         self._groups, self._arp = Groups(mac, now=now), Arp(mac)
         self._forwarder = Forwarder(
             config,
@@ -191,8 +191,8 @@ class Mesh:
     # -- time --------------------------------------------------------------------------------------------------------
 
     def next_timer(self) -> float | None:
-        """When :meth:`handle_timer` wants to be called; call it again after any other call. Acknowledgements that are
-        due then leave with :meth:`frames_to_send`."""
+        """When :meth:`handle_timer` wants to be called; call it again after any other call. What is
+        due to be sent then leaves with :meth:`frames_to_send`."""
         return min(
             self._outbox.next_due(),
             self._retries.next_due(),
