@@ -5,10 +5,9 @@ from __future__ import annotations
 import struct
 
 from netlab.capture import batman, flood
-from netlab.capture.decoders import LINKTYPE_ETHERNET, ethertype, mesh_of, traffic_of, udp_of
+from netlab.capture.decoders import LINKTYPE_ETHERNET, MESHES, ethertype, mesh_of, traffic_of, udp_of
 from udp_mesh.core.wire import Dissection
 
-_MESHES = (batman.ETHERTYPE, flood.ETHERTYPE)
 _ETHERTYPES = {0x0806: "ARP", 0x86DD: "IPv6", 0x88CC: "LLDP"}
 _PROTOCOLS = {1: "ICMP", 2: "IGMP", 6: "TCP", 17: "UDP", 58: "ICMPv6"}
 _ICMP = {0: "echo reply", 3: "unreachable", 8: "echo request", 11: "time exceeded"}
@@ -73,7 +72,7 @@ def _below_udp(frame: bytes) -> str:
 
 def _inside(frame: bytes, header: str, inner: int | None) -> str:
     """Describe a mesh's frame by its header and by what travels inside."""
-    if inner is None or ethertype(frame[inner:])[0] in _MESHES:  # nobody nests them; no endless descent
+    if inner is None or ethertype(frame[inner:])[0] in MESHES:  # nobody nests them; no endless descent
         return f"{header} {len(frame)} B"
     return f"{header}: {describe_frame(frame[inner:], LINKTYPE_ETHERNET)}"
 
