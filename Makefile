@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 SCENARIO ?= topologies/default.yaml
 # Debian packages that some tests compare with; the product itself needs none of them.
-TOOLS  := tcpdump tshark iproute2 iputils-ping
+TOOLS  := tcpdump tshark iproute2 iputils-ping chromium babeld
 # To build the kernel in a box, once.
 VM_TOOLS := gcc make flex bison bc libelf-dev xz-utils
 PYTEST_ARGS ?=
@@ -52,9 +52,12 @@ test-vm: $(STAMP) tools vm-tools
 	@$(BIN)/python -m pytest $(IN_BOXES) --lab-engine=air $(OVER_AIR) $(PYTEST_ARGS)
 
 # Robots in tunnels, whole teams of them, in virtual time.
+MISSIONS := $(wildcard tests/system/test_lab_tunnels*.py) \
+  $(addprefix tests/system/test_lab_,measured.py reroutes.py rose_mesh.py)
+
 test-tunnels: $(STAMP) tools vm-tools
 	@$(BIN)/netlab vm build
-	@$(BIN)/python -m pytest $(IN_BOXES) tests/system/test_lab_tunnels*.py $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest $(IN_BOXES) $(MISSIONS) $(PYTEST_ARGS)
 
 # Rewrites docs/agreement.md: netem, air and the pure medium against theory and each other.
 agreement: $(STAMP) vm-tools
@@ -73,7 +76,7 @@ bench: $(STAMP) tools
 
 # Root installs what is missing; an ordinary user is told, and the tests that need it are skipped with that reason.
 tools:
-	@missing=""; for tool in tcpdump tshark ip ping; do PATH="$$PATH:/usr/sbin:/sbin" command -v $$tool >/dev/null 2>&1 || missing="$$missing $$tool"; done; \
+	@missing=""; for tool in tcpdump tshark ip ping chromium babeld; do PATH="$$PATH:/usr/sbin:/sbin" command -v $$tool >/dev/null 2>&1 || missing="$$missing $$tool"; done; \
 	if [ -n "$$missing" ]; then \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \
 	    echo "installing Debian packages for the tests: $(TOOLS)"; \
