@@ -33,7 +33,8 @@ class Terminal:
         if self.pid == 0:
             fcntl.ioctl(0, termios.TIOCSWINSZ, size)  # before the program can ask for it
             os.chdir(cwd)
-            os.execve(argv[0], list(argv), {**env, "TERM": "xterm-256color", "COLORTERM": "truecolor"})
+            kept = {key: value for key, value in env.items() if key not in ("COLUMNS", "LINES")}  # of another terminal
+            os.execve(argv[0], list(argv), {**kept, "TERM": "xterm-256color", "COLORTERM": "truecolor"})
         self.status: int | None = None
 
     @property
