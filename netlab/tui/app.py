@@ -20,7 +20,7 @@ from netlab.tui.chooser import Chooser, Topology
 from netlab.tui.screen import MainScreen
 from netlab.tui.session import Session, short
 
-_RATE_HZ, _REMOTE_RATE_HZ = 5.0, 2.0
+_RATE_HZ, _REMOTE_RATE_HZ = 4.0, 2.0
 
 
 class Starting(Screen[None]):
