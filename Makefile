@@ -4,7 +4,7 @@
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
-SCENARIO ?= topologies/default.yaml
+SCENARIO ?=
 # Debian packages that some tests compare with; the product itself needs none of them.
 TOOLS  := tcpdump tshark iproute2 iputils-ping chromium babeld
 # To build the kernel in a box, once.
@@ -14,7 +14,7 @@ PYTEST_ARGS ?=
 .PHONY: lab test test-vm test-tunnels agreement vm-tools check bench venv tools clean help
 
 help:
-	@echo "make lab     run the interactive lab on SCENARIO ($(SCENARIO))"
+	@echo "make lab     the interactive lab; SCENARIO=FILE, or choose from a list"
 	@echo "make test    run the whole test suite"
 	@echo "make test-vm run the tests of the kernel in a box, and system tests in virtual time inside it"
 	@echo "make test-tunnels run the missions of robots in tunnels, in virtual time"
