@@ -17,6 +17,7 @@ from the end of the frame on, SIFS too early.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import math
 import random
@@ -81,6 +82,7 @@ class Channel:
         self._rates = rate_control
         self._wants_to_hear = not isinstance(rate_control, FixedRate)
         self._airtimes_s: dict[tuple[Rate, int], float] = {}
+        self._rates_by_bps: dict[float, Rate] = {}
         self._on_air: list[Signal] = []
         self._ends: list[tuple[float, int, bool, Exchange]] = []  # heap; True: of the whole exchange
         self._order = 0
@@ -117,10 +119,20 @@ class Channel:
         """How strongly port ``receiver`` hears port ``sender`` now."""
         return self._receptions.rssi_dbm(self._place[sender], self._place[receiver])
 
-    def offer(self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int = 0) -> list[Fate]:
+    def offer(
+        self,
+        sender: int,
+        frame: bytes,
+        receiver: int | None,
+        *,
+        now: float,
+        tag: int = 0,
+        rate_bps: float | None = None,
+    ) -> list[Fate]:
         """Queue an Ethernet frame at ``sender`` for ``receiver``, None for whoever hears it.
 
         Call :meth:`advance` with the same ``now`` before. A ``now`` in the channel's past counts as its present.
+        ``rate_bps`` is for group frames; one that the radio does not have counts as None, the lowest basic one.
 
         Returns:
             What is decided at once: nothing, or that the queue is full, for everyone whom the frame concerns.
@@ -134,11 +146,15 @@ class Channel:
             return [(port, Verdict.QUEUE_FULL) for port in concerned]
         addressee = None if receiver is None else self._place[receiver]
         size_bytes = self._phy.psdu_bytes(len(frame))
-        queue.append(Queued(station, addressee, frame, now, tag, size_bytes))
+        queue.append(Queued(station, addressee, frame, now, tag, size_bytes, self._rate_of(rate_bps)))
         self._queued_bytes[station] += len(frame)
         if len(queue) == 1:
             self._contend(station, 0, now=max(now, self._now))
         return []
+
+    def queued(self, sender: int) -> int:
+        """How many frames wait in the station of port ``sender``, the one under way included."""
+        return len(self._queues[self._place[sender]])
 
     def next_event(self) -> float | None:
         """When :meth:`advance` may have something to tell, if nothing is offered before; None: never.
@@ -187,7 +203,7 @@ class Channel:
     def _start(self, station: int, *, now: float) -> None:
         queued = self._queues[station][0]
         queued.attempts += 1
-        rate = self._phy.group_rate
+        rate = queued.rate or self._phy.group_rate
         if queued.receiver is not None:
             rate = self._rates.rate(station, queued.receiver, queued.attempts)
         duration_s = self._airtime_s(rate, queued.size_bytes)
@@ -267,6 +283,14 @@ class Channel:
             self._contend(done.sender, 0, now=now)
 
     # -- parts ----------------------------------------------------------------------------------------------------
+
+    def _rate_of(self, bps: float | None) -> Rate | None:
+        if bps is None:
+            return None
+        if bps not in self._rates_by_bps:
+            with contextlib.suppress(ValueError):
+                self._rates_by_bps[bps] = self._phy.rate(bps)
+        return self._rates_by_bps.get(bps)
 
     def _hear(self, station: int, peer: int) -> None:
         if self._wants_to_hear:

@@ -34,7 +34,7 @@ _WEAKEST_DBM, _STRONGEST_DBM = -128, 127  # what a verdict's record holds
 class Sent:
     """What became of a frame that port ``sender`` offered at ``offered_s``: outcomes as of ``Medium.transmit``.
 
-    ``tag`` is what the caller gave with it; ``attempts`` were made until then.
+    ``tag`` is what the caller gave with it; ``attempts`` were made until then, the last at ``rate_bps``.
     """
 
     sender: int
@@ -43,6 +43,7 @@ class Sent:
     offered_s: float
     attempts: int
     outcomes: list[Outcome]
+    rate_bps: float
 
 
 class SharedChannel:
@@ -62,13 +63,20 @@ class SharedChannel:
         self._place = {port: place for place, port in enumerate(self._ports)}
         self._matrix: list[list[float]] | None = None
         self._words = [[-math.inf] * len(ports) for _ in ports]
+        self._noise_dbm = segment.channel.noise_dbm
         self._channel = _channel(segment.channel, ports, seed)
         self.set_pairs(segment.pairs)
 
-    def offer(self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int) -> list[Outcome]:
+    def offer(
+        self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int, rate_bps: float | None = None
+    ) -> list[Outcome]:
         """Queue a frame at ``sender``; returns what is decided at once. Advance to ``now`` first."""
-        fates = self._channel.offer(sender, frame, receiver, now=now, tag=tag)
+        fates = self._channel.offer(sender, frame, receiver, now=now, tag=tag, rate_bps=rate_bps)
         return [(DROPPED, port, frame, verdict) for port, verdict in fates]
+
+    def queued(self, sender: int) -> int:
+        """How many frames wait at ``sender``, the one under way included."""
+        return self._channel.queued(sender)
 
     def next_event(self) -> float | None:
         """When something may be decided next; None: not before another offer."""
@@ -84,7 +92,8 @@ class SharedChannel:
                     self._pair(decided.sender, port).offer(decided.frame, decided.at_s, outcomes)
                 else:
                     outcomes.append((DROPPED, port, decided.frame, verdict))
-            sent.append(Sent(decided.sender, decided.frame, decided.tag, decided.offered_s, decided.attempts, outcomes))
+            who, what, tag, offered_s = decided.sender, decided.frame, decided.tag, decided.offered_s
+            sent.append(Sent(who, what, tag, offered_s, decided.attempts, outcomes, decided.rate.bps))
         return sent
 
     def set_pairs(self, changes: Mapping[tuple[int, int], Impairment | None]) -> None:
@@ -116,6 +125,11 @@ class SharedChannel:
         """How strongly the receivers of ``outcomes`` hear ``sender``, as verdict records hold it."""
         rssi_dbm = self._channel.rssi_dbm
         return {outcome[1]: _whole_dbm(rssi_dbm(sender, outcome[1])) for outcome in outcomes}
+
+    @property
+    def noise_dbm(self) -> float:
+        """Noise at every receiver."""
+        return self._noise_dbm
 
     @property
     def stats(self) -> ChannelStats:
