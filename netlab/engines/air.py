@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from netlab.engines.air_messages import (
-    AirStats,
     AddMonitor,
+    AirStats,
     Answer,
     AskStats,
     RecordVerdicts,

@@ -1,7 +1,7 @@
 """The radios in monitor mode of the air process: what programs send through them, and what they are told of a frame.
 
-A radio takes a frame from its interface only while few wait in the station, as a card does whose ring is short: the
-queue is then the sender's, who knows what is urgent.
+As a card does, a radio shows its sender each frame once more when it is through with it (a header with TX flags): a
+sender that waits for that keeps its queue to itself, and knows what is urgent in it.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from functools import partial
 
 from wnet.io import dot11, radiotap
 
-#: Frames of one station, the one under way included, beyond which its interface is left alone.
-_RING_FRAMES = 2
 _FRAME_BYTES_MAX = 4096
 _HEADERS_LIMIT = 4096
 
@@ -25,9 +23,7 @@ Injected = tuple[int, bytes, float | None]
 class Monitors:
     """All of one lab, by their ports."""
 
-    def __init__(self, queued: Callable[[int], int]) -> None:
-        """``queued`` tells how many frames wait at a port's station."""
-        self._queued = queued
+    def __init__(self) -> None:
         self._fds: dict[int, int] = {}
         self._headers: dict[tuple[int, float, float], bytes] = {}
         self.malformed = 0
@@ -39,18 +35,23 @@ class Monitors:
         """Serve a radio by the other end of its interface, which this object owns from now on."""
         self._fds[port] = fd
 
-    def waiting(self) -> list[int]:
-        """Descriptors of those that would take a frame."""
-        return [fd for port, fd in self._fds.items() if self._queued(port) < _RING_FRAMES]
+    @property
+    def descriptors(self) -> list[int]:
+        """Readable when a radio is to send."""
+        return list(self._fds.values())
 
     def take(self) -> list[Injected]:
-        """Return at most one frame of each radio that would take one."""
+        """Return at most one frame of each radio."""
         taken: list[Injected] = []
         for port, fd in self._fds.items():
-            if self._queued(port) < _RING_FRAMES:
-                with contextlib.suppress(OSError):
-                    self._add(port, os.read(fd, _FRAME_BYTES_MAX), taken)
+            with contextlib.suppress(BlockingIOError):
+                self._add(port, os.read(fd, _FRAME_BYTES_MAX), taken)
         return taken
+
+    def echo(self, port: int, frame: bytes, rate_bps: float | None) -> None:
+        """Show a sender that its radio is through with an Ethernet frame of its."""
+        with contextlib.suppress(OSError):
+            os.write(self._fds[port], radiotap.encode_transmit(rate_bps) + dot11.encode(frame))
 
     def sender(self, port: int) -> Callable[[bytes], int]:
         """What hands a radio's interface the bytes of :meth:`heard`."""

@@ -63,7 +63,7 @@ class Air(MediumLoop):
         self._medium = Medium((), (), 0)
         super().__init__(channel, self._medium)
         self._ring: Ring | None = None
-        self._monitors = Monitors(self._medium.queued)
+        self._monitors = Monitors()
         self._port_of: dict[int, int] = {}
         self._send: list[Callable[[bytes], int]] = []
         self._departures: list[tuple[float, int, int, bytes]] = []  # heap of (due_s, order, port, frame)
@@ -127,16 +127,20 @@ class Air(MediumLoop):
             self._received += 1
             stamp_ns = time.time_ns()
             outcomes = self._medium.inject(port, frame, rate_bps=rate_bps, now=now, tag=stamp_ns)
+            if outcomes:  # its queue was full
+                self._monitors.echo(port, frame, rate_bps)
             if self._verdicts is not None:
                 self._verdicts.add(outcomes, frame, port, now, stamp_ns)
         return bool(taken)
 
     def _sources(self) -> list[int]:
-        return self._monitors.waiting()
+        return self._monitors.descriptors
 
     def _advance(self, until: float) -> None:
         """Let shared channels work, and schedule what they deliver."""
         for sent in self._medium.advance(now=until):
+            if sent.sender in self._monitors:
+                self._monitors.echo(sent.sender, sent.frame, sent.rate_bps)
             for due, port, received, _verdict in sent.outcomes:
                 if due >= 0:
                     self._order += 1
@@ -212,7 +216,6 @@ class Air(MediumLoop):
         plan = setup.plan
         ring = Ring(max((port.mtu for port in plan.ports), default=_BASE_MTU))
         self._medium = Medium(plan.ports, plan.segments, plan.seed)
-        self._monitors = Monitors(self._medium.queued)
         self._port_of = {ifindex: port for port, ifindex in enumerate(setup.ifindexes) if ifindex}
         self._send = [_sender(ifindex) if ifindex else _nobody for ifindex in setup.ifindexes]
         self._ring = ring

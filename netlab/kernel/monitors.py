@@ -23,8 +23,6 @@ _TUNSETLINK = 0x400454CD
 _TUNSETCARRIER = 0x400454E2
 #: Room for radiotap and 802.11 headers around a member's frame.
 MTU_BYTES = MEMBER_MTU_BYTES + 60
-#: Frames that the interface holds itself: whoever sends more is told to wait, as by a card whose ring is full.
-_QUEUE_FRAMES = 2
 
 
 def create(namespace_fd: int, ifname: str, mac: bytes) -> int:
@@ -66,5 +64,5 @@ def set_carrier(fd: int, *, up: bool) -> None:
 def _settings(index: int, mac: bytes) -> bytes:
     message = ifinfmsg()
     message["index"] = index
-    message["attrs"] = [("IFLA_ADDRESS", mac.hex(":")), ("IFLA_MTU", MTU_BYTES), ("IFLA_TXQLEN", _QUEUE_FRAMES)]
+    message["attrs"] = [("IFLA_ADDRESS", mac.hex(":")), ("IFLA_MTU", MTU_BYTES)]
     return messages.encode_message(message, messages.RTM_NEWLINK, 0)

@@ -152,10 +152,6 @@ class Channel:
             self._contend(station, 0, now=max(now, self._now))
         return []
 
-    def queued(self, sender: int) -> int:
-        """How many frames wait in the station of port ``sender``, the one under way included."""
-        return len(self._queues[self._place[sender]])
-
     def next_event(self) -> float | None:
         """When :meth:`advance` may have something to tell, if nothing is offered before; None: never.
 

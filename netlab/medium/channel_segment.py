@@ -74,10 +74,6 @@ class SharedChannel:
         fates = self._channel.offer(sender, frame, receiver, now=now, tag=tag, rate_bps=rate_bps)
         return [(DROPPED, port, frame, verdict) for port, verdict in fates]
 
-    def queued(self, sender: int) -> int:
-        """How many frames wait at ``sender``, the one under way included."""
-        return self._channel.queued(sender)
-
     def next_event(self) -> float | None:
         """When something may be decided next; None: not before another offer."""
         return self._channel.next_event()

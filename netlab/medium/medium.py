@@ -188,10 +188,6 @@ class Medium:
         self._count(outcomes)
         return outcomes
 
-    def queued(self, sender: int) -> int:
-        """How many frames wait at a port of a shared channel, the one under way included."""
-        return self._channel_of(sender).queued(sender)
-
     def noise_dbm(self, port: int) -> float:
         """The noise at a port of a shared channel."""
         return self._channel_of(port).noise_dbm

@@ -114,7 +114,9 @@ def ask(path: str, word: str, *, timeout_s: float = _ANSWER_WAIT_S) -> dict[str,
     except TimeoutError:
         raise ControlError(f"the daemon at {path} did not answer within {timeout_s:g} s") from None
     except OSError as error:
-        raise ControlError(f"no daemon at {path}: {error.strerror}; start one with: wnet daemon --config FILE") from error
+        raise ControlError(
+            f"no daemon at {path}: {error.strerror}; start one with: wnet daemon --config FILE"
+        ) from error
     except ValueError:
         raise ControlError(f"the daemon at {path} gave no answer; a frame storm may keep it busy, try again") from None
     if not isinstance(answer, dict) or "error" in answer:

@@ -7,18 +7,18 @@ and sends each at the rate that it is given; its frames go as 802.11 data behind
 from __future__ import annotations
 
 import errno
+import math
 from typing import Protocol
 
+from wnet.core.events import Count, Drop
+from wnet.core.members import Member, Reception
 from wnet.core.wire import ETHERTYPE
 from wnet.io import dot11, radiotap
 from wnet.io.packet_socket import PacketSocket
-from wnet.core.members import Member, Reception
 
 #: Hardware type of an interface whose frames begin with a radiotap header (linux/if_arp.h).
 ARPHRD_RADIOTAP = 803
 _ETHERTYPE_ALL = 0x0003
-_ETHERTYPE_BYTES = ETHERTYPE.to_bytes(2, "big")
-_BUSY = (errno.EAGAIN, errno.ENOBUFS)
 _HEADERS_LIMIT = 1024
 #: Of the rates of 802.11g, in bits per second.
 OFDM_RATES_BPS = tuple(mbit * 1_000_000 for mbit in (6, 9, 12, 18, 24, 36, 48, 54))
@@ -38,16 +38,25 @@ class Port(Protocol):
     def receive(self) -> Arrival | None:
         """The next frame and how it was heard; None when there is none now."""
 
-    def transmit(self, frame: bytes, rate_bps: int | None) -> str | None:
-        """Send a frame; ``BUSY`` where it has to wait, another word to count where it cannot be sent, None if sent."""
+    def room(self, *, now: float) -> int:
+        """How many frames it takes now; where 0, one that arrives or :meth:`frees_at` makes room."""
+
+    def frees_at(self) -> float | None:
+        """When there is room again if nothing arrives; None: there is."""
+
+    def transmit(self, frame: bytes, rate_bps: int | None, *, now: float) -> Count | Drop | None:
+        """Send a frame; what to count where that is impossible."""
 
     def close(self) -> None:
         """Stop."""
 
 
-#: The interface takes no more now; it is writable when it does.
-BUSY = "busy"
-_NOT_SENT, _OVERSIZED = "not_sent", "oversized"
+#: Frames for an interface that says nothing of its queue before others get their turn.
+_BURST_FRAMES = 16
+#: Frames given to a radio that it has not reported as sent: the one on the air, and the next.
+_WINDOW_FRAMES = 2
+#: A radio that does not report a frame for so long does not report any.
+_REPORT_LIMIT_S = 0.25
 
 
 class EthernetPort:
@@ -56,7 +65,7 @@ class EthernetPort:
     def __init__(self, ifname: str, *, is_radio: bool) -> None:
         """Raises OSError as :class:`PacketSocket`."""
         self.ifname = ifname
-        self._socket = PacketSocket(ifname, ETHERTYPE)
+        self._socket = PacketSocket(ifname, int.from_bytes(ETHERTYPE, "big"))
         self._receive, self._send = self._socket.receive, self._socket.send
         self.member = Member(self._socket.mac, is_radio, mtu_bytes=self._socket.mtu_bytes)
 
@@ -67,7 +76,13 @@ class EthernetPort:
         frame = self._receive()
         return None if frame is None else (frame, None)
 
-    def transmit(self, frame: bytes, rate_bps: int | None) -> str | None:
+    def room(self, *, now: float) -> int:
+        return _BURST_FRAMES
+
+    def frees_at(self) -> float | None:
+        return None
+
+    def transmit(self, frame: bytes, rate_bps: int | None, *, now: float) -> Count | Drop | None:
         try:
             self._send(frame)
         except OSError as error:
@@ -79,7 +94,11 @@ class EthernetPort:
 
 
 class MonitorPort:
-    """See :class:`Port`: a radio in monitor mode."""
+    """See :class:`Port`: a radio in monitor mode.
+
+    Most drivers show a frame once more when they are through with it (mac80211 does wherever the hardware reports).
+    Until then few are given to it, so that what waits does so in the mesh, where urgent frames overtake.
+    """
 
     def __init__(self, ifname: str, rates_bps: tuple[int, ...]) -> None:
         """``rates_bps``: what the radio can send at, rising. Raises OSError as :class:`PacketSocket`."""
@@ -88,6 +107,9 @@ class MonitorPort:
         self._mac = self._socket.mac
         room_bytes = self._socket.mtu_bytes - radiotap.TRANSMIT_BYTES_MAX - dot11.EXTRA_BYTES
         self.member = Member(self._mac, True, mtu_bytes=room_bytes, rates_bps=rates_bps)
+        self._unreported = 0
+        self._reports = True
+        self._sent_s = -math.inf
         self._transmit_headers: dict[int | None, bytes] = {}
         self._known: dict[bytes, radiotap.Received | None] = {}  # receivers' headers hardly differ
 
@@ -97,17 +119,30 @@ class MonitorPort:
     def receive(self) -> Arrival | None:
         while (data := self._socket.receive()) is not None:
             header = self._decode(data)
-            if header is None or header.is_bad or header.is_echo:
+            if header is None or header.is_bad:
+                continue
+            if header.is_echo:
+                self._unreported = max(0, self._unreported - 1)
+                self._reports = True
                 continue
             frame = dot11.decode(data[: -radiotap.FCS_BYTES] if header.has_fcs else data, header.length_bytes)
-            if frame is None or frame[12:14] != _ETHERTYPE_BYTES or frame[6:12] == self._mac:
+            if frame is None or frame[12:14] != ETHERTYPE or frame[6:12] == self._mac:
                 continue
             if header.signal_dbm is None:
                 return frame, None
             return frame, Reception(header.signal_dbm, header.noise_dbm, header.rate_bps)
         return None
 
-    def transmit(self, frame: bytes, rate_bps: int | None) -> str | None:
+    def room(self, *, now: float) -> int:
+        if self._unreported and now >= self._sent_s + _REPORT_LIMIT_S:
+            self._unreported = 0
+            self._reports = False
+        return _WINDOW_FRAMES - self._unreported if self._reports else _BURST_FRAMES
+
+    def frees_at(self) -> float | None:
+        return self._sent_s + _REPORT_LIMIT_S if self._reports and self._unreported >= _WINDOW_FRAMES else None
+
+    def transmit(self, frame: bytes, rate_bps: int | None, *, now: float) -> Count | Drop | None:
         head = self._transmit_headers.get(rate_bps)
         if head is None:
             head = self._transmit_headers[rate_bps] = radiotap.encode_transmit(rate_bps)
@@ -115,6 +150,8 @@ class MonitorPort:
             self._socket.send(head + dot11.encode(frame))
         except OSError as error:
             return _problem(error)
+        self._unreported += 1
+        self._sent_s = now
         return None
 
     def close(self) -> None:
@@ -130,10 +167,8 @@ class MonitorPort:
         return header
 
 
-def _problem(error: OSError) -> str:
-    if error.errno in _BUSY:
-        return BUSY
-    return _OVERSIZED if error.errno == errno.EMSGSIZE else _NOT_SENT
+def _problem(error: OSError) -> Count | Drop:
+    return Drop.OVERSIZED if error.errno == errno.EMSGSIZE else Count.NOT_SENT
 
 
 def open_port(ifname: str, *, is_radio: bool, rates_bps: tuple[int, ...]) -> Port:
