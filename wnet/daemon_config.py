@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from wnet.config import ConfigError, MeshConfig, parse
@@ -40,7 +40,7 @@ class DaemonConfig:
     """Of a mesh interface that the daemon makes, 576..9000."""
     socket: str = ""
     """Where ``wnet topology|links|routes`` ask; empty: $WNET_SOCKET, /run/wnet.sock or the user's runtime folder."""
-    mesh: MeshConfig = MeshConfig()
+    mesh: MeshConfig = field(default_factory=MeshConfig)
     """The table ``[mesh]``."""
 
 

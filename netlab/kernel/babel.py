@@ -44,8 +44,8 @@ def argv(members: Sequence[str], options: BabelOptions) -> tuple[str, ...]:
         "redistribute local deny",
     ]
     words = [word for setting in settings for word in ("-C", setting)]
-    # Neither a file of its process id nor one of its state: every start is the first.
-    return (program() or "babeld", "-I", "", "-S", "/dev/null", *words, *members)
+    # Below the node's own /run, and never /dev/null: babeld deletes its files, with root's rights.
+    return (program() or "babeld", "-I", "/run/babeld.pid", "-S", "/run/babeld.state", *words, *members)
 
 
 def create(namespace_fd: int, address: str, members: Mapping[str, bytes]) -> None:

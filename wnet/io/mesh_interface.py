@@ -1,7 +1,7 @@
 """The daemon's end of the mesh interface, the one that the node's programs see: a TAP, or where there is none a veth.
 
 Of a veth pair the programs' end has the mesh interface's name, and ours that name with ``-io`` behind it; who may make
-interfaces makes the pair, ours takes frames as if it were the other end of a TAP. Sources: linux/if_tun.h, netdevice(7).
+interfaces makes the pair. Sources: linux/if_tun.h, netdevice(7).
 """
 
 from __future__ import annotations
