@@ -11,6 +11,7 @@ from typing import NamedTuple
 from udp_mesh.core.wire import Dissection, dissect
 
 LINKTYPE_ETHERNET = 1
+LINKTYPE_RADIOTAP = 127
 _ETHERTYPE_IPV4 = 0x0800
 _VLAN_TYPES = (0x8100, 0x88A8)
 _IPV4 = struct.Struct("!BxHxxHxBxx4s4s")  # version and header length, total length, fragment bits, protocol, ends

@@ -215,11 +215,11 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
         parse_scenario(
             {
                 "duration": "1s",
-                "wnet": {},
+                "rose": {},
                 "radio": {"propagation": {"model": "table", "path_loss": "x.csv"}},
-                "nodes": {"a": {"motion": "a.csv", "mesh": "wnet"}, "b": {}},
+                "nodes": {"a": {"motion": "a.csv"}, "b": {}},
             }
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]
     assert late == caught.value.problems
-    assert len(late) == 4
+    assert len(late) == 3
