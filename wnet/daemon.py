@@ -64,7 +64,8 @@ def _serve(config: DaemonConfig, arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         ports = []
         for member in config.members:
-            ports.append(open_port(member.interface, is_radio=member.radio, rates_bps=member.rates_bps))
+            rates_bps, mac = member.rates_bps, member.mac
+            ports.append(open_port(member.interface, is_radio=member.radio, rates_bps=rates_bps, mac=mac))
             stack.callback(ports[-1].close)
         interface, mac = open_mesh_interface(config.interface, config.address, config.mtu_bytes)
         stack.callback(interface.close)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from pathlib import Path
 from wnet.config import ConfigError, MeshConfig, parse
 
 _IFNAME_BYTES_MAX = 15
+_MAC = re.compile("[0-9a-fA-F]{2}(:[0-9a-fA-F]{2}){5}")
 _MTU_BYTES = range(576, 9001)
 
 
@@ -24,6 +26,8 @@ class MemberConfig:
     """Whether several nodes hear what it sends; else it is a wire to one other node. In monitor mode always."""
     rates_bps: tuple[int, ...] = ()
     """In monitor mode what the radio can send at, rising; empty: 6 to 54 Mbit/s."""
+    mac: bytes = b""
+    """In monitor mode the address that its frames come from; empty: the interface's own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +107,25 @@ def _members(value: object) -> tuple[MemberConfig, ...]:
 
 
 def _member(entry: Mapping[str, object]) -> MemberConfig:
-    unknown = entry.keys() - {"interface", "radio", "rates_bps"}
+    unknown = sorted(entry.keys() - {"interface", "radio", "rates_bps", "mac"})
     if unknown:
-        raise ValueError(f"unknown key {sorted(unknown)[0]!r} of a member; known are interface, radio, rates_bps")
+        raise ValueError(f"unknown key {unknown[0]!r} of a member; known are interface, radio, rates_bps, mac")
     radio, rates_bps = entry.get("radio", False), entry.get("rates_bps", [])
     if not isinstance(radio, bool):
         raise ValueError(f"radio has to be true or false, not {radio!r}")
     if not isinstance(rates_bps, list) or not all(isinstance(rate, int) and rate > 0 for rate in rates_bps):
         raise ValueError(f"rates_bps has to be a list of whole numbers above 0, not {rates_bps!r}")
-    return MemberConfig(_ifname(entry.get("interface", "")), radio, tuple(sorted(rates_bps)))
+    return MemberConfig(
+        _ifname(entry.get("interface", "")), radio, tuple(sorted(rates_bps)), _mac(entry.get("mac", ""))
+    )
+
+
+def _mac(value: object) -> bytes:
+    if value == "":
+        return b""
+    if not isinstance(value, str) or not _MAC.fullmatch(value) or int(value[:2], 16) & 1:
+        raise ValueError(f"mac has to be the address of one station, as 02:00:00:00:00:01, not {value!r}")
+    return bytes.fromhex(value.replace(":", ""))
 
 
 def _ifname(value: object) -> str:

@@ -46,10 +46,12 @@ def check_kernel(plan: LabPlan) -> None:
 
 
 def fitted(plan: LabPlan) -> LabPlan:
-    """The plan as this machine can build it: radios are in monitor mode only where there are TAPs to play them."""
-    if not any(port.radiotap for port in plan.ports) or in_child(try_tun) is None:
+    """The plan as this machine can build it: radios that the lab plays are in monitor mode only where there are TAPs."""
+    played = {port for segment in plan.segments if segment.channel is not None for port in segment.ports}
+    if not any(port.radiotap for port in plan.ports if port.index in played) or in_child(try_tun) is None:
         return plan
-    return replace(plan, ports=tuple(replace(port, radiotap=False) for port in plan.ports))
+    ports = (replace(port, radiotap=False) if port.index in played else port for port in plan.ports)
+    return replace(plan, ports=tuple(ports))
 
 
 def bring_up(plan: LabPlan, namespace_fds: Mapping[str, int]) -> float:
@@ -149,18 +151,24 @@ def _wnet_argv(
 ) -> tuple[str, ...]:
     config = folder / f"{mesh.node}.wnet.toml"
     config.touch(mode=0o600)  # it may hold the team's key
-    rates = {port: list(rates_bps) for port, rates_bps in _rates_bps(plan).items()}
+    rates_bps = _rates_bps(plan)
     table = {
         "interface": mesh.ifname,
-        "members": [
-            {"interface": port.ifname, "radio": is_radio} | ({"rates_bps": rates[port.index]} if port.radiotap else {})
-            for port, is_radio in members
-        ],
+        "members": [_member(port, is_radio, rates_bps) for port, is_radio in members],
         "mesh": dict(mesh.wnet),
     }
     config.write_text(tomli_w.dumps(table | {"socket": WNET_SOCKET}))
     argv = ("wnet-daemon", "--config", str(config), "--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}")
     return (*argv, "--seed", f"{plan.seed}/{mesh.node}/wnet")
+
+
+def _member(port: Port, is_radio: bool, rates_bps: Mapping[int, tuple[int, ...]]) -> dict[str, object]:
+    words: dict[str, object] = {"interface": port.ifname, "radio": is_radio}
+    if port.radiotap:
+        words |= {"mac": port.mac.hex(":")} | (
+            {"rates_bps": list(rates_bps[port.index])} if port.index in rates_bps else {}
+        )
+    return words
 
 
 def _rates_bps(plan: LabPlan) -> dict[int, tuple[int, ...]]:

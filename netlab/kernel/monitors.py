@@ -46,7 +46,6 @@ def create(namespace_fd: int, ifname: str, mac: bytes) -> int:
             with contextlib.closing(NetlinkSocket()) as sock:
                 index = next(link.index for link in links.list_links(sock) if link.ifname == ifname)
                 sock.request([_settings(index, mac), messages.set_up(index, up=True)])
-                links.wait_until_running([(sock, index)])
         except NetlinkError as error:
             os.close(fd)
             raise OSError(error.errno, f"interface {ifname}: {error.strerror}") from error

@@ -75,9 +75,7 @@ def test_a_wnet_daemon_gets_a_file_and_where_there_is_no_tap_a_veth(
     ]
 
 
-def test_radios_of_wnet_that_share_airtime_are_in_monitor_mode(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_radios_of_wnet_that_share_airtime_are_in_monitor_mode(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(mesh_interfaces, "in_child", lambda trial: None)
     radio = {"phy": "802.11g-20MHz", "propagation": {"model": "none"}}
     wnet = mesh_interfaces.fitted(plan("wnet", radio=radio))

@@ -16,7 +16,9 @@ RATES = sorted({round(rate.bps) for phy in PHYS.values() for rate in phy.rates i
 
 
 def test_a_receiver_s_header_is_what_others_read() -> None:
-    told = RadioTap(radiotap.encode_received(signal_dbm=-61.4, noise_dbm=-91, rate_bps=24_000_000) + b"\x08" + bytes(30))
+    told = RadioTap(
+        radiotap.encode_received(signal_dbm=-61.4, noise_dbm=-91, rate_bps=24_000_000) + b"\x08" + bytes(30)
+    )
     assert (told.dBm_AntSignal, told.dBm_AntNoise, told.Rate) == (-61, -91, 24.0)
 
 

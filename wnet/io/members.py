@@ -20,6 +20,7 @@ from wnet.io.packet_socket import PacketSocket
 ARPHRD_RADIOTAP = 803
 _ETHERTYPE_ALL = 0x0003
 _HEADERS_LIMIT = 1024
+_MAC_BYTES = 6
 #: Of the rates of 802.11g, in bits per second.
 OFDM_RATES_BPS = tuple(mbit * 1_000_000 for mbit in (6, 9, 12, 18, 24, 36, 48, 54))
 
@@ -100,11 +101,18 @@ class MonitorPort:
     Until then few are given to it, so that what waits does so in the mesh, where urgent frames overtake.
     """
 
-    def __init__(self, ifname: str, rates_bps: tuple[int, ...]) -> None:
-        """``rates_bps``: what the radio can send at, rising. Raises OSError as :class:`PacketSocket`."""
+    def __init__(self, ifname: str, rates_bps: tuple[int, ...], mac: bytes) -> None:
+        """``rates_bps``: what the radio can send at, rising; ``mac``: the address of its frames, empty for its own.
+
+        Raises:
+            OSError: As :class:`PacketSocket`; or the interface has no address and none is given.
+        """
         self.ifname = ifname
         self._socket = PacketSocket(ifname, _ETHERTYPE_ALL)
-        self._mac = self._socket.mac
+        self._mac = mac or self._socket.mac
+        if len(self._mac) != _MAC_BYTES:
+            self._socket.close()
+            raise OSError(errno.EADDRNOTAVAIL, "it has no address of its own; give its member a mac")
         room_bytes = self._socket.mtu_bytes - radiotap.TRANSMIT_BYTES_MAX - dot11.EXTRA_BYTES
         self.member = Member(self._mac, True, mtu_bytes=room_bytes, rates_bps=rates_bps)
         self._unreported = 0
@@ -171,8 +179,8 @@ def _problem(error: OSError) -> Count | Drop:
     return Drop.OVERSIZED if error.errno == errno.EMSGSIZE else Count.NOT_SENT
 
 
-def open_port(ifname: str, *, is_radio: bool, rates_bps: tuple[int, ...]) -> Port:
-    """Open a member by what its interface is: one in monitor mode is found by its hardware type.
+def open_port(ifname: str, *, is_radio: bool = False, rates_bps: tuple[int, ...] = (), mac: bytes = b"") -> Port:
+    """Open a member by what its interface is: one in monitor mode, which alone needs the rest, tells by its type.
 
     Raises:
         OSError: No such interface, not permitted, or neither Ethernet nor radiotap; names the interface.
@@ -182,7 +190,7 @@ def open_port(ifname: str, *, is_radio: bool, rates_bps: tuple[int, ...]) -> Por
         kind = with_type.hardware_type
         with_type.close()
         if kind == ARPHRD_RADIOTAP:
-            return MonitorPort(ifname, rates_bps or OFDM_RATES_BPS)
+            return MonitorPort(ifname, rates_bps or OFDM_RATES_BPS, mac)
         return EthernetPort(ifname, is_radio=is_radio)
     except OSError as error:
         raise OSError(error.errno, f"{ifname}: {error.strerror}") from error
