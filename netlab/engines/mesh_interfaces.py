@@ -46,7 +46,7 @@ def check_kernel(plan: LabPlan) -> None:
 
 
 def fitted(plan: LabPlan) -> LabPlan:
-    """The plan as this machine can build it: radios that the lab plays are in monitor mode only where there are TAPs."""
+    """The plan as this machine can build it: radios that the lab plays are in monitor mode only with TAPs."""
     played = {port for segment in plan.segments if segment.channel is not None for port in segment.ports}
     if not any(port.radiotap for port in plan.ports if port.index in played) or in_child(try_tun) is None:
         return plan
