@@ -1,4 +1,7 @@
-"""One node's mesh behind one object: frames, timers and events in, frames and events out. No clock, no socket."""
+"""One node's mesh behind one object: frames, timers and events in, frames and events out. No clock, no socket.
+
+Here frames are told apart and handed on; what is done with them belongs to the modules below.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,38 @@ import random
 from collections.abc import Sequence
 
 from wnet.config import MeshConfig
-from wnet.core.events import Count, Drop, Event
+from wnet.core import groups, reports, wire, wire_control
+from wnet.core.arp import Arp
+from wnet.core.control import Control
+from wnet.core.events import Count, Drop, Event, LinkDownReason
+from wnet.core.flooding import Floods
+from wnet.core.forwarding import Forwarder
+from wnet.core.groups import Groups
+from wnet.core.journal import Journal
+from wnet.core.link import Link
 from wnet.core.members import Member, Outgoing, Reception
+from wnet.core.neighbours import Neighbours
+from wnet.core.outbox import CONTROL, Outbox
+from wnet.core.retries import Retries
+from wnet.core.routes import Routes
+from wnet.core.seal import SEAL_BYTES, Seal
 from wnet.core.snapshot import Snapshot
+from wnet.core.topology import TopologyGraph
+from wnet.core.transmissions import Entry, Packet, Transmission
+from wnet.core.wire_control import NodeInfo
 
 __all__ = ["Count", "Drop", "Member", "Mesh", "Outgoing", "Reception"]
+
+MESH_MTU_BYTES = 1500
+_LEAST_PROBE_TRIES = 3
 
 
 class Mesh:
     """A node of the mesh.
 
-    The owner calls :meth:`receive`, :meth:`originate` and, when :meth:`next_timer` has come, :meth:`handle_timer`; after
-    each (or after a batch of them) it sends what :meth:`frames_to_send` gives, hands :meth:`take_delivered` to the mesh
-    interface and looks at :meth:`next_event`.
+    The owner calls :meth:`receive`, :meth:`originate` and, when :meth:`next_timer` has come, :meth:`handle_timer`;
+    after each (or after a batch of them) it sends what :meth:`frames_to_send` gives, hands :meth:`take_delivered` to
+    the mesh interface and looks at :meth:`next_event`.
     """
 
     def __init__(
@@ -41,25 +63,198 @@ class Mesh:
             rng: For jitter and first sequence numbers.
             now: Monotonic seconds.
         """
+        self._mac = mac
+        self._noise_dbm = config.noise_dbm
+        self._probe_tries = max(config.tries, _LEAST_PROBE_TRIES)
+        self._members = list(members)
+        epoch &= 0xFFFFFFFF
+        self._journal = Journal()
+        self._seal = Seal(config.key, epoch=epoch) if config.key else None
+        self._graph = TopologyGraph(mac, config, epoch=epoch)
+        self._outbox = Outbox(config, self._members, self._journal, self._seal, self._close)
+        self._retries = self._outbox.retries = Retries(config, self._journal, self)
+        self._neighbours = Neighbours(
+            config,
+            self._graph,
+            self._members,
+            self._journal,
+            on_change=lambda now, is_loss: self._control.changed(is_loss=is_loss, now=now),
+            on_down=self._clear,
+            probe=lambda link, now: self.probe(link, now=now),
+            now=now,
+        )
+        self._routes = Routes(self._graph, lambda node: self._neighbours.best(node) is not None)
+        self._floods = Floods(self._graph, self._neighbours, self._outbox, self._members, config.broadcast_tries)
+        self._groups, self._arp = Groups(mac, now=now), Arp(mac)
+        self._forwarder = Forwarder(
+            config,
+            self._graph,
+            self._neighbours,
+            self._routes,
+            self._floods,
+            self._outbox,
+            self._members,
+            self._journal,
+            self._groups,
+            self._arp,
+            first_sequence=rng.getrandbits(32),
+        )
+        self._control = Control(
+            config,
+            self._graph,
+            self._neighbours,
+            self._floods,
+            self._outbox,
+            self._members,
+            self._journal,
+            next_sequence=self._forwarder.next_sequence,
+            own_info=lambda: NodeInfo(0.0, self._arp.addresses, self._groups.macs),
+            rng=rng,
+            now=now,
+        )
 
     @property
     def mtu_bytes(self) -> int:
         """The MTU that the mesh interface may have: 1500, or less where a member or the seal leaves less."""
-        return 1500
+        seal_bytes = SEAL_BYTES if self._seal else 0
+        least = min((member.mtu_bytes for member in self._members), default=MESH_MTU_BYTES + 100)
+        return min(MESH_MTU_BYTES, least - seal_bytes - wire.HEADER_BYTES - wire.ETHERNET_BYTES)
 
     @property
     def counts(self) -> dict[str, int]:
         """Everything counted so far, by the words of :class:`Count` and :class:`Drop`."""
-        return {}
+        return {str(name): number for name, number in self._journal.counts.items()}
 
     def set_addresses(self, addresses: Sequence[bytes], *, now: float) -> None:
         """Tell this node's IPv4 addresses, of 4 bytes each: others then need not ask. Also learnt from its own ARP."""
+        self._arp.tell(addresses)
+        self._info_may_have_changed(now)
+
+    # -- frames in ---------------------------------------------------------------------------------------------------
 
     def originate(self, inner: bytes, *, now: float) -> None:
         """Take an Ethernet frame from the mesh interface: to a node, a group or all; ARP, IGMP and MLD are read."""
+        if len(inner) < wire.ETHERNET_BYTES:
+            self._journal.count(Drop.TOO_SHORT)
+            return
+        if inner[6:12] != self._mac:
+            self._journal.drop(Drop.FOREIGN_SOURCE, inner[6:12], inner[:6], len(inner), now=now)
+            return
+        if inner[0] & 1:
+            memberships = groups.read(inner)
+            if memberships is not None:
+                self._groups.take(memberships, now=now)
+                self._info_may_have_changed(now)
+                return
+        self._forwarder.originate(inner, now=now)
+        if inner[12:14] == b"\x08\x06":
+            self._info_may_have_changed(now)
 
     def receive(self, member: int, frame: bytes, *, now: float, reception: Reception | None = None) -> None:
-        """Take a frame that came from a member, from its destination address on; whatever it holds, nothing is raised."""
+        """Take a frame that came from a member, from its destination address on. Whatever it holds, never raises."""
+        if len(frame) <= wire.ETHERNET_BYTES or frame[12:14] != wire.ETHERTYPE:
+            self._journal.count(Drop.TOO_SHORT if len(frame) <= wire.ETHERNET_BYTES else Drop.OTHER_TYPE)
+            return
+        own_mac = self._members[member].mac
+        destination, source = frame[:6], frame[6:12]
+        if source == own_mac or (destination != own_mac and not destination[0] & 1):
+            self._journal.count(Count.OWN if source == own_mac else Drop.NOT_LISTED)
+            return
+        body = self._seal.open(frame) if self._seal is not None else frame[wire.ETHERNET_BYTES :]
+        if isinstance(body, Drop):
+            self._journal.count(body)
+            return
+        link = self._neighbours.find(member, source)
+        if body[:1] == wire.AGGREGATE_HEAD:
+            bodies = wire.split(body)
+            if isinstance(bodies, Drop):
+                self._journal.count(bodies)
+                return
+        else:
+            bodies = [body]
+        for part in bodies:
+            self._take(member, source, link, part, reception, now)
+
+    def _take(
+        self, member: int, source: bytes, link: Link | None, body: bytes, reception: Reception | None, now: float
+    ) -> None:
+        kind = body[0] if body else 0
+        if kind == wire.HELLO:
+            self._take_hello(member, source, body, reception, now)
+        elif kind not in wire.KINDS or kind in (wire.AGGREGATE, wire.SEALED):
+            self._journal.count(Drop.VERSION)
+        elif link is None or not (link.is_listed or self._seal is None):
+            self._journal.count(Drop.STRANGER)
+        elif kind == wire.ACK:
+            self._take_ack(link, body, reception, now)
+        else:
+            self._take_data(link, body, reception, now)
+
+    def _take_hello(self, member: int, source: bytes, body: bytes, reception: Reception | None, now: float) -> None:
+        hello = wire_control.decode_hello(body)
+        if isinstance(hello, Drop):
+            self._journal.count(hello)
+            return
+        link = self._neighbours.take_hello(member, source, hello, reception=reception, now=now)
+        if link is not None and link.is_usable:
+            self._control.compare(link, now=now)
+
+    def _take_ack(self, link: Link, body: bytes, reception: Reception | None, now: float) -> None:
+        ack = wire_control.decode_ack(body)
+        if isinstance(ack, Drop):
+            self._journal.count(ack)
+            return
+        link.hear(reception, self._noise_dbm, now=now)
+        self._retries.acknowledge(link, ack, now=now)
+
+    def _take_data(self, link: Link, body: bytes, reception: Reception | None, now: float) -> None:
+        data = wire.decode(body)
+        if isinstance(data, Drop):
+            self._journal.count(data)
+            return
+        link.hear(reception, self._noise_dbm, now=now)
+        own_mac = self._members[link.member].mac
+        sequence = data.sequence
+        if data.hops or data.kind in (wire.FLOOD, wire.TC, wire.MULTICAST):
+            hop = next((hop for hop in data.hops if hop.peer_mac == own_mac), None)
+            sequence = -1 if hop is None else hop.sequence
+        if sequence >= 0:
+            ahead = link.data_window.take(sequence)
+            if ahead >= 0:
+                link.loss.count(ahead)
+            if data.is_ack_wanted:
+                self._outbox.owe(link, data.attempt, now=now)
+        if data.kind == wire.TC:
+            self._take_tc(link, data, own_mac, now)
+        elif data.kind != wire.PROBE:
+            link.note_traffic(now=now)
+            self._forwarder.receive(data, link, own_mac, now=now)
+
+    def _take_tc(self, link: Link, data: wire.Data, own_mac: bytes, now: float) -> None:
+        node = wire.source_of(data.tail)
+        epoch, sequence = wire.origin_of(data.tail)
+        if node == self._mac:
+            self._journal.count(Count.OWN)
+            if epoch != self._graph.own.epoch:
+                self._control.contradict(epoch, sequence, link, now=now)
+            return
+        if self._graph.is_former(node, epoch):
+            self._journal.count(Count.DUPLICATE)
+            return
+        if not self._forwarder.is_new_tc(data.tail) or not self._graph.is_newer(node, epoch, sequence):
+            self._journal.count(Count.DUPLICATE)
+            return
+        topology = wire_control.decode_tc(wire.inner_of(data.tail))
+        if isinstance(topology, Drop):
+            self._journal.count(topology)
+            return
+        age_s = data.sequence * wire.AGE_UNIT_S
+        is_relay = any(hop.peer_mac == own_mac for hop in data.hops) or self._neighbours.is_news(now=now)
+        if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and is_relay:
+            self._control.relayed(data.tail, now=now)
+            self._forwarder.relay_flood(data, link, now=now)
+
+    # -- frames out --------------------------------------------------------------------------------------------------
 
     def frames_to_send(self, *, now: float, room: Sequence[int] | None = None) -> list[Outgoing]:
         """Return what to send now, the most urgent first, and forget it.
@@ -69,26 +264,111 @@ class Mesh:
             room: How many frames each member takes; None: as many as there are. What finds no room stays here, where
                 more urgent frames overtake it and old ones are dropped.
         """
-        return []
+        return self._outbox.pull(now=now, room=room)
+
+    def take_delivered(self) -> list[bytes]:
+        """Return, once, the Ethernet frames for the mesh interface. At most 4096 are kept, the newest."""
+        delivered = self._forwarder.delivered
+        found = list(delivered)
+        delivered.clear()
+        return found
+
+    # -- time --------------------------------------------------------------------------------------------------------
 
     def next_timer(self) -> float | None:
-        """When :meth:`handle_timer` wants to be called; call it again after any other call."""
-        return None
+        """When :meth:`handle_timer` wants to be called; call it again after any other call. Acknowledgements that are
+        due then leave with :meth:`frames_to_send`."""
+        return min(
+            self._outbox.next_due(),
+            self._retries.next_due(),
+            self._control.next_due(),
+            self._neighbours.next_due(),
+            self._groups.next_due(),
+            self._graph.next_expiry(),
+        )
 
     def handle_timer(self, *, now: float) -> None:
         """Do what is due."""
+        self._retries.handle(now=now)
+        if self._neighbours.next_due() <= now:
+            self._neighbours.handle(now=now)
+        if self._graph.next_expiry() <= now:
+            self._graph.expire(now=now)
+        if self._groups.next_due() <= now:
+            self._forwarder.delivered.extend(self._groups.handle(now=now))
+            self._info_may_have_changed(now)
+        if self._control.next_due() <= now:
+            self._control.handle(now=now)
 
-    def take_delivered(self) -> list[bytes]:
-        """Return, once, the Ethernet frames for the mesh interface."""
-        return []
+    def _info_may_have_changed(self, now: float) -> None:
+        before = self._graph.own.info
+        self._control.refresh_info(now=now)
+        if self._graph.own.info != before:
+            self._control.changed(is_loss=False, now=now)
+
+    # -- what is told ------------------------------------------------------------------------------------------------
 
     def next_event(self) -> Event | None:
         """Return the oldest event not told yet. The newest thousand are kept."""
-        return None
+        return self._journal.next_event()
 
     def snapshot(self, *, now: float) -> Snapshot:
         """Return links, topology, routes, groups and counters."""
-        raise NotImplementedError
+        return reports.snapshot(
+            self._graph,
+            self._neighbours,
+            self._routes,
+            self._floods.mprs,
+            groups=self._groups.macs,
+            queued=self._outbox.lengths,
+            counts=self.counts,
+            now=now,
+        )
 
     def count(self, what: Count | Drop) -> None:
         """Count what only the edge can see."""
+        self._journal.count(what)
+
+    # -- what the retries ask (wnet.core.retries.Owner) --------------------------------------------------------------
+
+    def resend(self, transmission: Transmission, *, now: float) -> None:
+        """Queue a transmission once more, ahead of others."""
+        self._outbox.submit(transmission, now=now, is_first=True)
+
+    def reroute(self, packet: Packet, entry: Entry, *, now: float) -> bool:
+        """Send by another next hop what this one does not acknowledge."""
+        return self._forwarder.reroute(packet, entry, now=now)
+
+    def probe(self, link: Link, *, now: float) -> None:
+        """Ask a neighbour for an acknowledgement, unless it is being asked already."""
+        if link.probe is None:
+            packet = Packet(wire.PROBE, b"", 1, CONTROL, None)
+            link.probe = Transmission(packet, link.member, [Entry(link, ())], self._probe_tries)
+            self._outbox.submit(link.probe, now=now)
+
+    def lose(self, link: Link, reason: LinkDownReason, *, now: float) -> None:
+        """Take a link out of use."""
+        self._neighbours.take_down(link, reason, now=now)
+
+    def probe_answered(self, link: Link, *, now: float) -> None:
+        """The neighbour has acknowledged a probe."""
+        was_usable = link.is_usable
+        self._neighbours.probe_answered(link, now=now)
+        if link.is_usable and not was_usable:
+            self._control.synchronise(link, now=now)
+
+    def _clear(self, link: Link, now: float) -> None:
+        """Send by other ways what waits for a link that is gone, or is under way on it."""
+        link.probe = None
+        unanswered = self._retries.abandon(link)
+        for transmission in self._outbox.take_out(link):
+            unanswered += [(transmission, entry) for entry in transmission.entries]
+            transmission.entries = []
+        for transmission, entry in unanswered:
+            self._forwarder.resubmit(transmission.packet, entry, now=now)
+
+    def _close(self, transmission: Transmission, now: float) -> None:
+        """Do the same for those next hops of one transmission that are gone."""
+        for entry in [entry for entry in transmission.entries if not entry.link.is_usable]:
+            self._retries.forget(transmission, entry)
+            self._forwarder.resubmit(transmission.packet, entry, now=now)

@@ -1,0 +1,258 @@
+"""When HELLOs and TCs leave, and what they say.
+
+Theory of operation.
+* As in Trickle (RFC 6206) the interval starts short whenever links come or go, and doubles up to a long one while
+  nothing does; a change is told at once, within a few milliseconds.
+* A link that carried traffic and was lost is searched for with short, partial HELLOs every ``hello_fast_s`` for
+  ``search_s``; others, and by a node that is alone, at a fifth of ``hello_slow_s``.
+* HELLOs tell a digest of all TCs held. Where that of a new neighbour differs, it is sent what is known: so two parts of
+  a team that meet know each other without waiting for the next round of TCs.
+* All that is bounded by the team's share of the channel (:mod:`wnet.core.budget`).
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+
+from wnet.config import MeshConfig
+from wnet.core import wire, wire_control
+from wnet.core.budget import Budget
+from wnet.core.flooding import Floods
+from wnet.core.journal import Journal
+from wnet.core.link import Link
+from wnet.core.members import Member
+from wnet.core.neighbours import Neighbours
+from wnet.core.outbox import CONTROL, FRAME_OVERHEAD_S, Outbox
+from wnet.core.topology import Node, TopologyGraph, incoming_of
+from wnet.core.transmissions import Packet
+from wnet.core.wire_control import Hello, NodeInfo, Topology
+
+_AT_ONCE_S = 0.005
+"""A change is told within this, at random, so that neighbours do not all speak at once."""
+_SPACING_S = 0.02
+_SYNC_INTERVAL_S = 5.0
+_PATIENCE_S = 1.5
+_SLOW_SEARCH = 5
+_UTILISATION_STEP = 0.05
+
+
+class _Trickle:
+    """One interval that doubles: ``fast_s`` after a change, at last ``slow_s``."""
+
+    def __init__(self, fast_s: float, slow_s: float, *, now: float) -> None:
+        self._fast_s, self._slow_s = min(fast_s, slow_s), slow_s
+        self.interval_s = self._fast_s
+        self.due = now
+        self._sent_at = float("-inf")
+
+    def reset(self, delay_s: float, *, now: float) -> None:
+        self.interval_s = self._fast_s
+        self.due = min(self.due, max(now + delay_s, self._sent_at + _SPACING_S))
+
+    def sent(self, rng: random.Random, *, now: float) -> float:
+        """Note that it was sent; return the time until the next, drawn from the last quarter of the interval."""
+        self._sent_at = now
+        wait_s = self.interval_s * (1.0 - 0.25 * rng.random())
+        self.due = now + wait_s
+        self.interval_s = min(2.0 * self.interval_s, self._slow_s)
+        return wait_s
+
+
+class Control:
+    """One node's HELLOs and TCs."""
+
+    def __init__(
+        self,
+        config: MeshConfig,
+        graph: TopologyGraph,
+        neighbours: Neighbours,
+        floods: Floods,
+        outbox: Outbox,
+        members: Sequence[Member],
+        journal: Journal,
+        *,
+        next_sequence: Callable[[], int],
+        own_info: Callable[[], NodeInfo],
+        rng: random.Random,
+        now: float,
+    ) -> None:
+        self._config = config
+        self._graph = graph
+        self._neighbours = neighbours
+        self._floods = floods
+        self._outbox = outbox
+        self._members = members
+        self._journal = journal
+        self._next_sequence = next_sequence
+        self._own_info = own_info
+        self._rng = rng
+        self._hello = _Trickle(config.hello_fast_s, config.hello_slow_s, now=now + config.hello_fast_s * rng.random())
+        self._tc = _Trickle(2.0 * config.hello_fast_s, config.tc_slow_s, now=now + 2.0 * config.hello_fast_s)
+        self._is_tc_urgent = False
+        self._foreign: tuple[int, int] | None = None
+        self._search_due = now
+        self._searched: dict[int, float] = {}
+        self._sequences = [0] * len(members)
+        self._budget = Budget(config.control_share, now=now)
+        self._busy_s, self._busy_at, self._busy_ratio = 0.0, now, 0.0
+
+    # -- what others call --------------------------------------------------------------------------------------------
+
+    def changed(self, *, is_loss: bool, now: float) -> None:
+        """Links came or went, someone new was heard, or what this node tells of itself changed: tell at once, a loss
+        before anything that is sent another way because of it."""
+        self._hello.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
+        if self._graph.own.incoming or self._graph.own.tail:
+            self._is_tc_urgent = True
+            self._tc.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
+
+    def contradict(self, epoch: int, sequence: int, link: Link, *, now: float) -> None:
+        """A TC names this node but is none of its own: an earlier start's, or another node's if a second comes."""
+        if self._foreign is not None and self._foreign[0] == epoch and self._foreign[1] != sequence:
+            self._journal.conflict(self._graph.own.mac, link.peer_mac, now=now)
+        self._foreign = (epoch, sequence)
+
+    def compare(self, link: Link, *, now: float) -> None:
+        """Look at the digest of a neighbour's HELLO; one that differs for long means that a TC was lost."""
+        if link.digest == self._graph.digest:
+            link.differs_since = float("inf")
+            return
+        link.differs_since = min(link.differs_since, now)
+        if now - link.differs_since > _PATIENCE_S:
+            self.synchronise(link, now=now)
+
+    def synchronise(self, link: Link, *, now: float) -> None:
+        """Send a neighbour the TCs that are known here, if it says that it knows others."""
+        if link.digest == self._graph.digest or now - link.synchronised_at < _SYNC_INTERVAL_S:
+            return
+        link.synchronised_at = now
+        for node in list(self._graph.nodes.values()):
+            if node.tail is not None and node.mac != link.neighbour:
+                self._budget.spend(self._airtime_s(len(node.tail)), now=now)
+                self._floods.send_to(link, self.packet_of(node, now=now), now=now)
+
+    def packet_of(self, node: Node, *, now: float) -> Packet:
+        """Return a node's last TC as it travels."""
+        age_s = max(now - node.told_at, 0.0)
+        return Packet(wire.TC, node.tail or b"", self._config.hop_limit, CONTROL, None, age_s=age_s)
+
+    def relayed(self, tail: bytes, *, now: float) -> None:
+        """Account for another node's TC."""
+        self._budget.spend(self._airtime_s(len(tail)), now=now)
+
+    # -- time --------------------------------------------------------------------------------------------------------
+
+    def next_due(self) -> float:
+        """When :meth:`handle` has something to do."""
+        return min(self._hello.due, self._tc.due, self._search_due)
+
+    def handle(self, *, now: float) -> None:
+        """Send what is due and affordable."""
+        self._budget.divide(len(self._graph.nodes))
+        if self._hello.due <= now and self._is_affordable(self._hello, self._hello_bytes(), now):
+            self._send_hellos(now)
+        if self._tc.due <= now and self._is_affordable(self._tc, 80 + 10 * len(self._graph.own.incoming), now):
+            self._send_tc(now)
+        if self._search_due <= now:
+            self._search(now)
+
+    def _is_affordable(self, trickle: _Trickle, size_bytes: int, now: float) -> bool:
+        wait_s = self._budget.wait_s(self._airtime_s(size_bytes), now=now)
+        if wait_s > 0.0:
+            trickle.due = now + wait_s
+        return wait_s == 0.0
+
+    def _hello_bytes(self) -> int:
+        return (60 + wire_control.HEARD_BYTES * len(self._graph.own.incoming)) * len(self._members)
+
+    def _airtime_s(self, size_bytes: int) -> float:
+        return FRAME_OVERHEAD_S + 8 * (size_bytes + wire.ETHERNET_BYTES) / self._config.channel_bps
+
+    # -- HELLO -------------------------------------------------------------------------------------------------------
+
+    def _send_hellos(self, now: float) -> None:
+        self._measure_utilisation(now)
+        interval_s = self._hello.sent(self._rng, now=now)
+        mprs = self._floods.mprs
+        for member in range(len(self._members)):
+            self._send_hello(member, interval_s, mprs, is_partial=False, now=now)
+
+    def _send_hello(
+        self, member: int, interval_s: float, mprs: frozenset[bytes], *, is_partial: bool, now: float
+    ) -> None:
+        links = self._neighbours.heard(member, is_partial=is_partial, mprs=mprs, now=now)
+        most = (self._outbox.limit_bytes(member) - 300) // wire_control.HEARD_BYTES
+        if len(links) > most:  # in turn, from one HELLO to the next
+            first = self._sequences[member] * most % len(links)
+            links, is_partial = (links + links)[first : first + most], True
+        own = self._graph.own
+        self._sequences[member] = (self._sequences[member] + 1) & 0xFFFF
+        body = wire_control.encode_hello(
+            Hello(
+                own.mac,
+                own.epoch,
+                member,
+                self._sequences[member],
+                interval_s,
+                self._graph.digest,
+                self._busy_ratio,
+                is_partial,
+                own.info,
+                links,
+            )
+        )
+        self._budget.spend(self._airtime_s(len(body)), now=now)
+        self._outbox.add_control(member, wire.GROUP + self._members[member].mac + wire.ETHERTYPE, body)
+
+    def _search(self, now: float) -> None:
+        """Send partial HELLOs where a link was lost, and by a node that is alone."""
+        fast_s, slow_s = self._config.hello_fast_s, self._config.hello_slow_s / _SLOW_SEARCH
+        wait_s: dict[int, float] = {}
+        for link in self._neighbours:
+            if link.lost_at is not None and now - link.lost_at < self._config.search_s * _SLOW_SEARCH:
+                is_fast = link.is_missed and now - link.lost_at < self._config.search_s
+                wait_s[link.member] = min(wait_s.get(link.member, slow_s), fast_s if is_fast else slow_s)
+        if not self._graph.own.incoming:
+            wait_s = {member: wait_s.get(member, slow_s) for member in range(len(self._members))}
+        self._search_due = now + min(wait_s.values(), default=slow_s) * (1.0 - 0.1 * self._rng.random())
+        for member, interval_s in wait_s.items():
+            if now - self._searched.get(member, float("-inf")) < 0.8 * interval_s:
+                continue
+            if self._budget.wait_s(self._airtime_s(100), now=now) == 0.0:
+                self._searched[member] = now
+                until_next_s = max(self._hello.due - now, interval_s)
+                self._send_hello(member, until_next_s, frozenset(), is_partial=True, now=now)
+
+    # -- TC ----------------------------------------------------------------------------------------------------------
+
+    def _send_tc(self, now: float) -> None:
+        self._tc.sent(self._rng, now=now)
+        own = self._graph.own
+        if not own.incoming and own.tail is None:
+            return
+        links = incoming_of(own)
+        most = (min(map(self._outbox.limit_bytes, range(len(self._members)))) - 400) // wire_control.LINK_BYTES
+        topology = Topology(own.mac, self._config.tc_slow_s, own.info, links[:most])
+        sequence = self._next_sequence()
+        tail = wire.tail_of(own.epoch, sequence, wire_control.encode_tc(topology))
+        self._graph.note_own_tc(sequence, tail, now=now)
+        if self._floods.send(self.packet_of(own, now=now), is_retried=self._is_tc_urgent, now=now):
+            self._budget.spend(self._airtime_s(len(tail)), now=now)
+        self._is_tc_urgent = False
+
+    def refresh_info(self, *, now: float) -> None:
+        """Put what this node tells of itself into the graph."""
+        info = self._own_info()
+        ratio = min(self._busy_ratio + sum(self._neighbours.sending.values()), 1.0)
+        told = self._graph.own.info.utilisation_ratio
+        if abs(ratio - told) <= _UTILISATION_STEP:
+            ratio = told
+        self._graph.set_own_info(info._replace(utilisation_ratio=ratio))
+
+    def _measure_utilisation(self, now: float) -> None:
+        elapsed_s = now - self._busy_at
+        if elapsed_s > 0.0:
+            self._busy_ratio = min((self._outbox.busy_s - self._busy_s) / elapsed_s, 1.0)
+            self._busy_s, self._busy_at = self._outbox.busy_s, now
+        self.refresh_info(now=now)

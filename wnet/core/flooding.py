@@ -1,0 +1,88 @@
+"""Frames for all: broadcast data and TCs, relayed by multipoint relays only (WNet paper, III-C)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from wnet.core import mpr, wire
+from wnet.core.link import Link
+from wnet.core.members import Member
+from wnet.core.neighbours import Neighbours
+from wnet.core.outbox import Outbox
+from wnet.core.topology import TopologyGraph
+from wnet.core.transmissions import Entry, Packet, Transmission
+
+
+class _Plan(NamedTuple):
+    """``relays``: of every member with neighbours, the links to those that shall relay; ``alone``: the one neighbour on
+    a member that has no other."""
+
+    mprs: frozenset[bytes]
+    relays: dict[int, list[Link]]
+    alone: dict[int, bytes]
+
+
+class Floods:
+    """Who relays this node's floods, and sending them."""
+
+    def __init__(
+        self, graph: TopologyGraph, neighbours: Neighbours, outbox: Outbox, members: Sequence[Member], tries: int
+    ) -> None:
+        self._graph = graph
+        self._neighbours = neighbours
+        self._outbox = outbox
+        self._members = members
+        self._tries = tries
+        self._version = -1
+        self._plan = _Plan(frozenset(), {}, {})
+
+    @property
+    def mprs(self) -> frozenset[bytes]:
+        """The neighbours that relay what this node sends to all."""
+        return self._current().mprs
+
+    def send(self, packet: Packet, *, is_retried: bool, now: float) -> bool:
+        """Send to all neighbours, on every member that is the best way to one; return whether there are any."""
+        plan = self._current()
+        for member, links in plan.relays.items():
+            if not self._members[member].is_radio and plan.alone.get(member) == packet.via is not None:
+                continue
+            limit = self._outbox.limit_bytes(member) - wire.HEADER_BYTES - len(packet.tail)
+            entries = [Entry(link, ()) for link in links if wire.relay_list_bytes(len(links)) <= limit]
+            tries = self._tries if is_retried else 1
+            self._outbox.submit(Transmission(packet, member, entries, tries, is_group=True), now=now)
+        return bool(plan.relays)
+
+    def send_to(self, link: Link, packet: Packet, *, now: float) -> None:
+        """Send to one neighbour, which shall relay it."""
+        self._outbox.submit(Transmission(packet, link.member, [Entry(link, ())], 1, is_group=True), now=now)
+
+    def _current(self) -> _Plan:
+        if self._version != self._graph.version:
+            self._version = self._graph.version
+            self._plan = self._make()
+        return self._plan
+
+    def _make(self) -> _Plan:
+        best = self._neighbours.usable_nodes()
+        own = self._graph.own.mac
+        coverage: dict[bytes, set[bytes]] = {node: set() for node in best}
+        for node in self._graph.nodes:
+            if node != own and node not in best:
+                for sender in self._graph.senders_to(node):
+                    if sender in coverage:
+                        coverage[sender].add(node)
+        costs = {node: self._graph.cost(own, node) or float("inf") for node in best}
+        mprs = (
+            mpr.select({node: frozenset(covered) for node, covered in coverage.items()}, costs) if best else frozenset()
+        )
+        relays: dict[int, list[Link]] = {}
+        on_member: dict[int, list[bytes]] = {}
+        for node, link in best.items():
+            on_member.setdefault(link.member, []).append(node)
+            relays.setdefault(link.member, [])
+            if node in mprs:
+                relays[link.member].append(link)
+        alone = {member: nodes[0] for member, nodes in on_member.items() if len(nodes) == 1}
+        return _Plan(frozenset(mprs), relays, alone)

@@ -1,0 +1,340 @@
+"""The way of a frame of data through this node: from the mesh interface, from a member, to either.
+
+Paths belong to :mod:`wnet.core.routes`; here every frame gets its next hops, once per destination. A frame that was
+here before is dropped, whatever the reason for its return: so no frame is forwarded twice by one node, and none is
+delivered twice, however much the nodes' views of the topology differ.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+from wnet.config import MeshConfig
+from wnet.core import groups, wire
+from wnet.core.arp import Arp
+from wnet.core.events import AlternateUsed, Count, Drop, RouteChanged
+from wnet.core.flooding import Floods
+from wnet.core.groups import Groups
+from wnet.core.journal import Journal
+from wnet.core.link import Link
+from wnet.core.members import Member
+from wnet.core.neighbours import Neighbours
+from wnet.core.outbox import Outbox
+from wnet.core.routes import Routes
+from wnet.core.seen import Seen
+from wnet.core.topology import TopologyGraph
+from wnet.core.transmissions import Entry, Packet, Transmission
+from wnet.core.urgency import urgency_of, urgency_of_dscp
+
+_MOST_REROUTES = 2
+_MAX_ROUTES_TOLD = 1024
+_MAX_DELIVERED = 4096
+
+
+class Forwarder:
+    """One node's data path."""
+
+    def __init__(
+        self,
+        config: MeshConfig,
+        graph: TopologyGraph,
+        neighbours: Neighbours,
+        routes: Routes,
+        floods: Floods,
+        outbox: Outbox,
+        members: Sequence[Member],
+        journal: Journal,
+        own_groups: Groups,
+        arp: Arp,
+        *,
+        first_sequence: int,
+    ) -> None:
+        self._config = config
+        self._graph = graph
+        self._mac = graph.own.mac
+        self._epoch = graph.own.epoch
+        self._neighbours = neighbours
+        self._routes = routes
+        self._floods = floods
+        self._outbox = outbox
+        self._members = members
+        self._journal = journal
+        self._groups = own_groups
+        self._arp = arp
+        self._sequence = first_sequence
+        self._seen = Seen()
+        self._told: dict[bytes, bytes | None] = {}
+        self._avoided: dict[bytes, bytes] = {}
+        self._second_paths: tuple[int, dict[bytes, tuple[bytes, ...]]] = (-1, {})
+        self._listeners: tuple[int, dict[bytes, tuple[bytes, ...]]] = (-1, {})
+        redundant = config.redundant_dscp
+        self._redundant_urgency = -1 if redundant is None else urgency_of_dscp(redundant)
+        self.delivered: deque[bytes] = deque(maxlen=_MAX_DELIVERED)
+
+    def next_sequence(self) -> int:
+        """Return the number of this node's next frame."""
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        return self._sequence
+
+    # -- from the mesh interface -------------------------------------------------------------------------------------
+
+    def originate(self, inner: bytes, *, now: float) -> None:
+        """Send a frame of this node; ARP that can be answered here is."""
+        destination = inner[:6]
+        if destination[0] & 1:
+            answer = self._arp.read(inner, self._graph.nodes.values()) if inner[12:14] == b"\x08\x06" else None
+            if answer is not None and self._routes.get(answer[6:12]) is not None:
+                self._journal.count(Count.ARP_ANSWERED)
+                self.delivered.append(answer)
+                return
+        self._journal.count(Count.ORIGINATED)
+        tail = wire.tail_of(self._epoch, self.next_sequence(), inner)
+        packet = Packet(wire.UNICAST, tail, self._config.hop_limit, urgency_of(inner), None)
+        if not destination[0] & 1:
+            self._send_second(packet, now)
+            self._forward(packet, (destination,), now)
+        elif groups.is_ip_group(destination) and destination not in groups.ALL_HOSTS:
+            listeners = self._listeners_of(destination)
+            if listeners:
+                self._forward(packet, listeners, now)
+            else:
+                self._drop(packet, Drop.NO_MEMBER, now)
+        else:
+            packet.kind = wire.FLOOD
+            if not self._floods.send(packet, is_retried=True, now=now):
+                self._drop(packet, Drop.NO_ROUTE, now)
+
+    def _listeners_of(self, group: bytes) -> tuple[bytes, ...]:
+        """Return the nodes that listen to a group and can be reached."""
+        if self._listeners[0] != self._graph.version:
+            self._listeners = (self._graph.version, {})
+        known = self._listeners[1].get(group)
+        if known is None:
+            known = tuple(
+                node.mac
+                for node in self._graph.nodes.values()
+                if group in node.info.groups and node.mac != self._mac and self._routes.get(node.mac) is not None
+            )
+            self._listeners[1][group] = known
+        return known
+
+    def _send_second(self, packet: Packet, now: float) -> None:
+        """Send an urgent frame along a second path that shares no relay with the first."""
+        if packet.urgency > self._redundant_urgency:
+            return
+        if self._second_paths[0] != self._graph.version:
+            self._second_paths = (self._graph.version, {})
+        destination = packet.destination
+        path = self._second_paths[1].get(destination)
+        if path is None:
+            path = self._second_paths[1][destination] = tuple(self._routes.disjoint_path(destination))
+        if path:
+            self._journal.count(Count.REDUNDANT)
+            second = Packet(wire.ROUTED, packet.tail, packet.hop_limit, packet.urgency, None, route=path)
+            self._send_routed(second, now)
+
+    # -- from a member -----------------------------------------------------------------------------------------------
+
+    def receive(self, data: wire.Data, link: Link, own_member_mac: bytes, *, now: float) -> None:
+        """Take a frame of data, or a share of it, from a neighbour."""
+        tail = data.tail
+        if wire.source_of(tail) == self._mac:
+            self._journal.count(Count.OWN)
+        elif data.kind == wire.UNICAST:
+            self._take(data, link, (wire.destination_of(tail),), now)
+        elif data.kind == wire.MULTICAST:
+            hop = next((hop for hop in data.hops if hop.peer_mac == own_member_mac), None)
+            if hop is None:
+                self._journal.count(Drop.NOT_LISTED)
+            else:
+                self._take(data, link, hop.destinations, now)
+        elif data.kind == wire.ROUTED:
+            self._take_routed(data, link, now)
+        else:
+            self._take_flood(data, link, own_member_mac, now)
+
+    def _take(self, data: wire.Data, link: Link, destinations: Sequence[bytes], now: float) -> None:
+        key = wire.key_of(data.tail)
+        fresh = [node for node in destinations if self._seen.add(key + node)]
+        if not fresh:
+            self._journal.count(Count.DUPLICATE)
+            return
+        if self._mac in fresh:
+            fresh.remove(self._mac)
+            self._deliver(data.tail)
+        if fresh:
+            self._relay(data, link, fresh, now)
+
+    def _relay(self, data: wire.Data, link: Link, destinations: Sequence[bytes], now: float) -> None:
+        packet = Packet(wire.UNICAST, data.tail, data.hop_limit - 1, data.urgency, link.neighbour)
+        if packet.hop_limit <= 0:
+            self._drop(packet, Drop.HOP_LIMIT, now)
+            return
+        self._journal.counts[Count.RELAYED] += 1
+        self._forward(packet, destinations, now)
+
+    def _take_routed(self, data: wire.Data, link: Link, now: float) -> None:
+        key = wire.key_of(data.tail)
+        if not data.route or data.route[0] != self._mac:
+            self._journal.count(Drop.NOT_LISTED)
+        elif not self._seen.add(key + wire.destination_of(data.tail)):
+            self._journal.count(Count.DUPLICATE)
+        elif len(data.route) == 1:
+            self._deliver(data.tail)
+        else:
+            packet = Packet(
+                wire.ROUTED, data.tail, data.hop_limit - 1, data.urgency, link.neighbour, route=data.route[1:]
+            )
+            self._journal.count(Count.RELAYED)
+            self._send_routed(packet, now)
+
+    def _take_flood(self, data: wire.Data, link: Link, own_member_mac: bytes, now: float) -> None:
+        if not self._seen.add(wire.key_of(data.tail)):
+            self._journal.count(Count.DUPLICATE)
+            return
+        self._deliver(data.tail)
+        if any(hop.peer_mac == own_member_mac for hop in data.hops) or self._neighbours.is_news(now=now):
+            self.relay_flood(data, link, now=now)
+
+    def relay_flood(self, data: wire.Data, link: Link, *, now: float) -> None:
+        """Send a flood, or a TC, on to all neighbours."""
+        packet = Packet(data.kind, data.tail, data.hop_limit - 1, data.urgency, link.neighbour)
+        packet.age_s = data.sequence * wire.AGE_UNIT_S
+        if packet.hop_limit <= 0:
+            self._drop(packet, Drop.HOP_LIMIT, now)
+            return
+        if data.kind == wire.FLOOD:
+            self._journal.count(Count.RELAYED)
+        self._floods.send(packet, is_retried=True, now=now)
+
+    def is_new_tc(self, tail: bytes) -> bool:
+        """Whether a TC was not here yet."""
+        return self._seen.add(wire.key_of(tail))
+
+    def _deliver(self, tail: bytes) -> None:
+        self._journal.counts[Count.DELIVERED] += 1
+        self.delivered.append(wire.inner_of(tail))
+
+    # -- to the next hops --------------------------------------------------------------------------------------------
+
+    def _forward(self, packet: Packet, destinations: Sequence[bytes], now: float) -> None:
+        if len(destinations) == 1:
+            link = self._next_link(packet, destinations[0], None, now)
+            if link is not None:
+                self._submit(packet, link.member, {link: list(destinations)}, now)
+            return
+        by_member: dict[int, dict[Link, list[bytes]]] = {}
+        for destination in destinations:
+            link = self._next_link(packet, destination, None, now)
+            if link is not None:
+                by_member.setdefault(link.member, {}).setdefault(link, []).append(destination)
+        for member, shares in by_member.items():
+            self._submit(packet, member, shares, now)
+
+    def _submit(self, packet: Packet, member: int, shares: dict[Link, list[bytes]], now: float) -> None:
+        """Queue a packet for next hops on one member, in as many frames as their lists need."""
+        limit = self._outbox.limit_bytes(member) - wire.HEADER_BYTES - len(packet.tail) + wire.ORIGIN_BYTES
+        if limit < 0:
+            self._drop(packet, Drop.OVERSIZED, now)
+            return
+        if len(shares) == 1:
+            (link, destinations) = next(iter(shares.items()))
+            if destinations == [packet.destination]:
+                self._submit_entries(packet, member, [Entry(link, tuple(destinations))], now)
+                return
+        entries: list[Entry] = []
+        for link, destinations in shares.items():
+            for entry in _pieces(link, destinations, limit):
+                if entries and _list_bytes([*entries, entry]) > limit:
+                    self._submit_entries(packet, member, entries, now)
+                    entries = []
+                entries.append(entry)
+        if _list_bytes(entries) > limit:
+            self._drop(packet, Drop.OVERSIZED, now)
+        else:
+            self._submit_entries(packet, member, entries, now)
+
+    def _submit_entries(self, packet: Packet, member: int, entries: list[Entry], now: float) -> None:
+        tries = self._config.tries
+        for entry in entries:
+            entry.link.note_sending(now=now)
+        self._outbox.submit(Transmission(packet, member, entries, tries, is_group=len(entries) > 1), now=now)
+
+    def _send_routed(self, packet: Packet, now: float) -> None:
+        link = self._neighbours.best(packet.route[0])
+        if link is None or packet.hop_limit <= 0:
+            self._drop(packet, Drop.NO_ROUTE, now)
+            return
+        length = wire.HEADER_BYTES + len(packet.tail) - wire.ORIGIN_BYTES + 1 + 6 * len(packet.route)
+        if length > self._outbox.limit_bytes(link.member):
+            self._drop(packet, Drop.OVERSIZED, now)
+            return
+        self._submit_entries(packet, link.member, [Entry(link, (packet.destination,))], now)
+
+    def _next_link(self, packet: Packet, destination: bytes, but: Link | None, now: float) -> Link | None:
+        """Return the link to the next hop, or to an alternate while the next hop owes acknowledgements."""
+        route = self._routes.get(destination)
+        hops = route.hops if route is not None else ()
+        self._tell_route(destination, hops[0] if hops else None, route.cost if route else None, now)
+        fallback: Link | None = None
+        for hop in hops:
+            link = self._neighbours.best(hop)
+            if link is None or link is but or hop == packet.via:
+                continue
+            if not link.is_suspect:
+                if hop != hops[0]:
+                    self._note_alternate(destination, hops[0], hop, now)
+                elif destination in self._avoided:
+                    del self._avoided[destination]
+                return link
+            fallback = fallback or link
+        if fallback is None and but is None:
+            self._drop(packet, Drop.RETURNED if packet.via in hops else Drop.NO_ROUTE, now)
+        return fallback
+
+    def reroute(self, packet: Packet, entry: Entry, *, now: float) -> bool:
+        """Send by another next hop what one has not acknowledged; False if there is none."""
+        if packet.kind not in (wire.UNICAST, wire.MULTICAST) or packet.reroutes >= _MOST_REROUTES:
+            return False
+        found = {node: self._next_link(packet, node, entry.link, now) for node in entry.destinations}
+        if not all(link is not None and not link.is_suspect for link in found.values()):
+            return False
+        packet.reroutes += 1
+        for node, link in found.items():
+            if link is not None:
+                self._submit(packet, link.member, {link: [node]}, now)
+        return True
+
+    def resubmit(self, packet: Packet, entry: Entry, *, now: float) -> None:
+        """Send by what the graph offers now what was meant for a link that is gone."""
+        if packet.kind in (wire.UNICAST, wire.MULTICAST) and not self.reroute(packet, entry, now=now):
+            self._drop(packet, Drop.NOT_ACKNOWLEDGED, now)
+
+    def _note_alternate(self, destination: bytes, next_hop: bytes, alternate: bytes, now: float) -> None:
+        self._journal.count(Count.ALTERNATE)
+        if self._avoided.get(destination) != next_hop and len(self._avoided) < _MAX_ROUTES_TOLD:
+            self._avoided[destination] = next_hop
+            self._journal.tell(AlternateUsed(now, destination, next_hop, alternate))
+
+    def _tell_route(self, destination: bytes, next_hop: bytes | None, cost: float | None, now: float) -> None:
+        if self._told.get(destination) == next_hop:
+            return
+        if len(self._told) >= _MAX_ROUTES_TOLD:
+            self._told.clear()
+        self._told[destination] = next_hop
+        self._journal.tell(RouteChanged(now, destination, next_hop, cost))
+
+    def _drop(self, packet: Packet, reason: Drop, now: float) -> None:
+        size_bytes = len(packet.tail) - wire.ORIGIN_BYTES
+        self._journal.drop(reason, packet.source, packet.destination, size_bytes, now=now)
+
+
+def _list_bytes(entries: Sequence[Entry]) -> int:
+    return wire.forward_list_bytes([len(entry.destinations) for entry in entries])
+
+
+def _pieces(link: Link, destinations: Sequence[bytes], limit: int) -> list[Entry]:
+    """Return entries for one next hop, each of which fits into a list of its own."""
+    most = max((limit - wire.forward_list_bytes([0])) // 6, 1)
+    return [Entry(link, tuple(destinations[i : i + most])) for i in range(0, len(destinations), most)]

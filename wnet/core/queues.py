@@ -1,0 +1,85 @@
+"""What waits for one member: strict priority between classes of urgency, next hops in turn within a class.
+
+A next hop with too much under way does not hold up the others. A class holds a bounded number of frames; beyond it the
+oldest of the longest row goes. The owner throws away what has waited too long.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+from wnet.core.link import Link
+from wnet.core.transmissions import Transmission
+
+CLASSES = 8
+_GROUPS = None  # the row of frames for several next hops
+
+_Row = deque[Transmission]
+
+
+class MemberQueue:
+    """The frames that wait for one member."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._rows: list[dict[Link | None, _Row]] = [{} for _ in range(CLASSES)]
+        self.lengths = [0] * CLASSES
+
+    def __len__(self) -> int:
+        return sum(self.lengths)
+
+    def push(self, transmission: Transmission, *, is_first: bool = False) -> Transmission | None:
+        """Take a frame, ``is_first`` ahead of its row; return the one that had to go for it."""
+        urgency = transmission.packet.urgency
+        rows = self._rows[urgency]
+        dropped = None
+        if self.lengths[urgency] >= self._limit:
+            longest = max(rows, key=lambda key: len(rows[key]))
+            dropped = self._take(urgency, longest)
+        key = _GROUPS if transmission.is_group else transmission.entries[0].link
+        row = rows.get(key)
+        if row is None:
+            row = rows[key] = deque()
+        if is_first:
+            row.appendleft(transmission)
+        else:
+            row.append(transmission)
+        self.lengths[urgency] += 1
+        return dropped
+
+    def pop(self) -> Transmission | None:
+        """Return the most urgent frame whose next hop has room, None if there is none."""
+        for urgency, rows in enumerate(self._rows):
+            for key in rows:
+                if key is None or key.has_room() or not key.is_usable:
+                    found = self._take(urgency, key)
+                    if key in rows:  # its turn comes again after the others'
+                        rows[key] = rows.pop(key)
+                    return found
+        return None
+
+    def following(self, link: Link, urgency: int) -> Transmission | None:
+        """Return the next frame to the same next hop in the same class, without taking it."""
+        row = self._rows[urgency].get(link)
+        return row[0] if row else None
+
+    def take_following(self, link: Link, urgency: int) -> Transmission:
+        """Take what :meth:`following` has shown."""
+        return self._take(urgency, link)
+
+    def remove(self, link: Link) -> Iterator[Transmission]:
+        """Take out what waits for one next hop, the most urgent first."""
+        for urgency, rows in enumerate(self._rows):
+            row = rows.pop(link, ())
+            self.lengths[urgency] -= len(row)
+            yield from row
+
+    def _take(self, urgency: int, key: Link | None) -> Transmission:
+        rows = self._rows[urgency]
+        row = rows[key]
+        found = row.popleft()
+        if not row:
+            del rows[key]
+        self.lengths[urgency] -= 1
+        return found
