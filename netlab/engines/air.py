@@ -159,7 +159,7 @@ class AirEngine:
         """Give the ports in monitor mode their interfaces; the process has their other ends then."""
         for port in self._plan.ports:
             if port.radiotap:
-                fd = monitors.create(self.namespace_fds[port.node], port.ifname, port.mac)
+                fd = monitors.create(self.namespace_fds[port.node], port.ifname)
                 self._monitors[port.index] = fd
                 self._ask(AddMonitor(port.index), [fd])
 

@@ -1,7 +1,7 @@
 """Radios in monitor mode that the lab plays: TAPs of the type 802.11 with radiotap header, by their descriptors.
 
-For programs one is what a card in monitor mode is (ARPHRD 803, whole 802.11 frames). Source: linux/if_tun.h,
-TUNSETLINK in drivers/net/tun.c.
+For programs one is what a card in monitor mode is (ARPHRD 803, whole 802.11 frames), but for its address: a TAP of this
+type has none. Source: linux/if_tun.h, TUNSETLINK in drivers/net/tun.c.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _TUNSETCARRIER = 0x400454E2
 MTU_BYTES = MEMBER_MTU_BYTES + 60
 
 
-def create(namespace_fd: int, ifname: str, mac: bytes) -> int:
+def create(namespace_fd: int, ifname: str) -> int:
     """Make one in a node's namespace, up; the calling thread returns to its own.
 
     Returns:
@@ -45,7 +45,7 @@ def create(namespace_fd: int, ifname: str, mac: bytes) -> int:
             os.set_blocking(fd, False)
             with contextlib.closing(NetlinkSocket()) as sock:
                 index = next(link.index for link in links.list_links(sock) if link.ifname == ifname)
-                sock.request([_settings(index, mac), messages.set_up(index, up=True)])
+                sock.request([_settings(index), messages.set_up(index, up=True)])
         except NetlinkError as error:
             os.close(fd)
             raise OSError(error.errno, f"interface {ifname}: {error.strerror}") from error
@@ -60,8 +60,8 @@ def set_carrier(fd: int, *, up: bool) -> None:
     fcntl.ioctl(fd, _TUNSETCARRIER, int(up).to_bytes(4, "little"))
 
 
-def _settings(index: int, mac: bytes) -> bytes:
+def _settings(index: int) -> bytes:
     message = ifinfmsg()
     message["index"] = index
-    message["attrs"] = [("IFLA_ADDRESS", mac.hex(":")), ("IFLA_MTU", MTU_BYTES)]
+    message["attrs"] = [("IFLA_MTU", MTU_BYTES)]
     return messages.encode_message(message, messages.RTM_NEWLINK, 0)
