@@ -1,9 +1,9 @@
 """How long a mesh takes to find another way, and to carry again after an outage: silent cuts, probes at 50 Hz.
 
-`python tests/bench/bench_mesh.py [--cycles N] [--engine E] [MESH ...]`, with the meshes of ``mesh_rig_lab.py``; in virtual
-time (it opens a box by itself). A relay is cut, or a hop, while it carries: which one does tell the counters of the
-interfaces, so that it is the same for every mesh. The delay ends when both ends have got a datagram that was sent since.
-Every figure is over all cycles of one lab; between them everything is whole again until the mesh has settled.
+`python tests/bench/bench_mesh.py [--cycles N] [--engine E] [MESH ...]`, with the meshes of ``mesh_rig_lab.py``; in
+virtual time (it opens a box by itself). A relay is cut, or a hop, while it carries: which one does tell the counters of
+the interfaces, so that it is the same for every mesh. The delay ends when both ends have got a datagram that was sent
+since. Every figure is over all cycles of one lab; between them everything is whole until the mesh has settled.
 
 Topologies: the nodes of relay_diamond.yaml (a-relay1-b, a-relay2-b, a-relay3-relay2), and a line of three hops.
 """
@@ -41,7 +41,7 @@ Hop = tuple[str, str]
 
 @dataclass(frozen=True)
 class Case:
-    """What is cut: ``choose`` gives the hops; ``restored`` those that come back after ``DEAD_S``, if it is about that."""
+    """What is cut: ``choose`` gives the hops; ``restored`` those that come back after ``DEAD_S``, where it is that."""
 
     name: str
     hops: tuple[Hop, ...]

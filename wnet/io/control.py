@@ -77,8 +77,11 @@ class ControlServer:
         if len(self.asking) > _ASKING_MAX:
             self.asking.pop(0).close()
 
-    def answer(self, asking: socket.socket) -> None:
-        """Read a question that has come, and answer it."""
+    def answer(self, descriptor: int) -> None:
+        """Read the question that has come on one of ``asking``, and answer it."""
+        asking = next((one for one in self.asking if one.fileno() == descriptor), None)
+        if asking is None:
+            return
         self.asking.remove(asking)
         with asking, contextlib.suppress(OSError):
             word = asking.recv(_QUESTION_BYTES_MAX).decode("ascii", "replace").strip()

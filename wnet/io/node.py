@@ -22,8 +22,6 @@ from wnet.io.mesh_interface import MeshInterface
 _BURST_FRAMES = 32
 _REPORT_S = 1.0
 
-Watched = socket.socket | MeshInterface | ControlServer | Port
-
 
 class Node:
     """One node; :meth:`run` until :meth:`stop`."""
@@ -45,8 +43,12 @@ class Node:
         self._control = control
         self._feed = feed
         self._stopping = False
+        self._due_s = 0.0  # when the mesh's timer has come
         self._wake, self.wake_write = socket.socketpair()
         self.wake_write.setblocking(False)
+        # By descriptor: ``select`` asks every object for its own otherwise, each time.
+        self._place_of = {port.fileno(): place for place, port in enumerate(ports)}
+        self._watched = [self._wake.fileno(), interface.fileno(), control.fileno(), *self._place_of]
 
     def stop(self) -> None:
         """Have the loop end; to be called from a signal handler whose number ``wake_write`` was sent."""
@@ -77,50 +79,69 @@ class Node:
         self._wake.close()
         self.wake_write.close()
 
-    def _wait(self, report_at_s: float) -> set[Watched]:
-        due = [report_at_s, self._mesh.next_timer(), *(port.frees_at() for port in self._ports)]
-        until_s = min(at_s for at_s in due if at_s is not None)
-        watched: list[Watched] = [self._wake, self._interface, self._control, *self._ports, *self._control.asking]
-        return set(select.select(watched, [], [], max(0.0, until_s - time.monotonic()))[0])
+    def _wait(self, report_at_s: float) -> list[int]:
+        """Sleep until there is something to do; returns the descriptors that are readable."""
+        timer = self._mesh.next_timer()
+        self._due_s = until_s = report_at_s if timer is None else min(timer, report_at_s)
+        for port in self._ports:
+            frees_at_s = port.frees_at()
+            if frees_at_s is not None and frees_at_s < until_s:
+                until_s = frees_at_s
+        asking = self._control.asking
+        watched = [*self._watched, *(one.fileno() for one in asking)] if asking else self._watched
+        return select.select(watched, [], [], max(0.0, until_s - time.monotonic()))[0]
 
-    def _take(self, readable: set[Watched]) -> None:
+    def _take(self, readable: list[int]) -> None:
         mesh = self._mesh
-        for place, port in enumerate(self._ports):
-            if port in readable:
+        for descriptor in readable:
+            place = self._place_of.get(descriptor)
+            if place is not None:
+                self._receive(place)
+            elif descriptor == self._watched[1]:
                 for _ in range(_BURST_FRAMES):
-                    arrival = port.receive()
-                    if arrival is None:
+                    inner = self._interface.read()
+                    if inner is None:
                         break
-                    mesh.receive(place, arrival[0], now=time.monotonic(), reception=arrival[1])
-        if self._interface in readable:
-            for _ in range(_BURST_FRAMES):
-                inner = self._interface.read()
-                if inner is None:
-                    break
-                mesh.originate(inner, now=time.monotonic())
-        if self._control in readable:
-            self._control.accept()
-        for asking in [one for one in self._control.asking if one in readable]:
-            self._control.answer(asking)
+                    mesh.originate(inner, now=time.monotonic())
+            elif descriptor == self._watched[2]:
+                self._control.accept()
+            else:
+                self._control.answer(descriptor)
+
+    def _receive(self, place: int) -> None:
+        receive, take = self._ports[place].receive, self._mesh.receive
+        for _ in range(_BURST_FRAMES):
+            arrival = receive()
+            if arrival is None:
+                return
+            take(place, arrival[0], now=time.monotonic(), reception=arrival[1])
 
     def _settle(self, now: float) -> None:
         """Do what is due, send and deliver what there is, and tell of it."""
-        mesh, ports = self._mesh, self._ports
-        timer = mesh.next_timer()
-        if timer is not None and timer <= now:
+        mesh = self._mesh
+        if self._due_s <= now:
             mesh.handle_timer(now=now)
-        while frames := mesh.frames_to_send(now=now, room=[port.room(now=now) for port in ports]):
-            for out in frames:
-                problem = ports[out.member].transmit(out.frame, out.rate_bps, now=now)
-                if problem is not None:
-                    mesh.count(problem)
+        while self._send(now):
+            pass
         for inner in mesh.take_delivered():
             self._interface.write(inner)
+        feed = self._feed
         while (event := mesh.next_event()) is not None:
-            if self._feed is not None:
-                self._feed.add(event)
-        if self._feed is not None:
-            self._feed.flush()
+            if feed is not None:
+                feed.add(event)
+        if feed is not None:
+            feed.flush()
+
+    def _send(self, now: float) -> bool:
+        """Send as much as there is room for; True where that was everywhere less than there is."""
+        ports = self._ports
+        room = [port.room(now=now) for port in ports]
+        for out in self._mesh.frames_to_send(now=now, room=room):
+            room[out.member] -= 1
+            problem = ports[out.member].transmit(out.frame, out.rate_bps, now=now)
+            if problem is not None:
+                self._mesh.count(problem)
+        return any(left <= 0 < port.room(now=now) for left, port in zip(room, ports, strict=True))
 
     def _report(self, now: float) -> None:
         """Once a second: the interface's addresses may have changed, and counters have."""
