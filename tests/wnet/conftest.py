@@ -10,6 +10,7 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from random import Random
 
 import pytest
@@ -19,7 +20,6 @@ from wnet.core import events
 from wnet.core.mesh import Member, Mesh, Outgoing, Reception
 
 MTU = 1700
-SEEDS_SHOWN = "seed"
 
 
 @dataclass(slots=True)
@@ -66,11 +66,12 @@ class MeshNet:
         self.default_config = config
         self.stations: dict[str, Station] = {}
         self.paths: dict[tuple[tuple[str, int], tuple[str, int]], Path] = {}
+        self._from: dict[tuple[str, int], list[tuple[tuple[str, int], Path]]] = {}
+        self._due: dict[str, float] = {}
         self._wires: dict[str, int] = {}
         self._in_air: list[tuple[float, int, str, int, bytes, Reception | None]] = []
         self._calls: list[tuple[float, int, Callable[[], None]]] = []
         self._order = 0
-        self.on_air: list[tuple[float, str, int]] = []
 
     # -- building ----------------------------------------------------------------------------------------------------
 
@@ -119,8 +120,9 @@ class MeshNet:
 
     def join(self, a: tuple[str, int], b: tuple[str, int], **path: object) -> None:
         """Let two members hear each other."""
-        self.paths[a, b] = Path(**path)  # type: ignore[arg-type]
-        self.paths[b, a] = Path(**path)  # type: ignore[arg-type]
+        for sender, receiver in ((a, b), (b, a)):
+            self.paths[sender, receiver] = Path(**path)  # type: ignore[arg-type]
+            self._from.setdefault(sender, []).append((receiver, self.paths[sender, receiver]))
 
     def radio(self, a: str, b: str, **path: object) -> None:
         """Let the first radios of two nodes hear each other."""
@@ -148,7 +150,7 @@ class MeshNet:
         row = list(names)
         for i, name in enumerate(row):
             self.add(name, radios=0, wires=2 - (i in (0, len(row) - 1)))
-        for a, b in zip(row, row[1:], strict=False):
+        for a, b in pairwise(row):
             self.wire(a, b, **path)
 
     # -- time --------------------------------------------------------------------------------------------------------
@@ -182,7 +184,7 @@ class MeshNet:
         return True
 
     def _next_s(self) -> float:
-        times = [s.mesh.next_timer() or float("inf") for s in self.stations.values() if not s.is_silent]
+        times = [due for name, due in self._due.items() if not self.stations[name].is_silent]
         times += [heap[0][0] for heap in (self._in_air, self._calls) if heap]
         return max(min(times), self.now)
 
@@ -190,16 +192,15 @@ class MeshNet:
         touched: set[str] = set()
         while self._calls and self._calls[0][0] <= self.now:
             heapq.heappop(self._calls)[2]()
-            touched.update(self.stations)
         while self._in_air and self._in_air[0][0] <= self.now:
             _at, _order, name, member, frame, reception = heapq.heappop(self._in_air)
             station = self.stations.get(name)
             if station is not None and not station.is_silent:
                 station.mesh.receive(member, frame, now=self.now, reception=reception)
                 touched.add(name)
-        for name, station in self.stations.items():
-            due = station.mesh.next_timer()
-            if due is not None and due <= self.now and not station.is_silent:
+        for name, due in list(self._due.items()):
+            station = self.stations[name]
+            if due <= self.now and not station.is_silent:
                 station.mesh.handle_timer(now=self.now)
                 touched.add(name)
         self._settle(touched)
@@ -215,10 +216,11 @@ class MeshNet:
             station.delivered += [(self.now, frame) for frame in station.mesh.take_delivered()]
             while (event := station.mesh.next_event()) is not None:
                 station.events.append(event)
+            self._due[name] = station.mesh.next_timer() or float("inf")
 
     def _carry(self, name: str, outgoing: Outgoing) -> None:
-        for (sender, receiver), path in self.paths.items():
-            if sender != (name, outgoing.member) or path.is_cut:
+        for receiver, path in self._from.get((name, outgoing.member), ()):
+            if path.is_cut or not self._is_for(receiver, outgoing.frame):
                 continue
             if path.loss_ratio and self.rng.random() < path.loss_ratio:
                 continue
@@ -234,6 +236,10 @@ class MeshNet:
             self._order += 1
             arrival = (leaves_s + path.delay_s, self._order, *receiver, outgoing.frame, reception)
             heapq.heappush(self._in_air, arrival)
+
+    def _is_for(self, receiver: tuple[str, int], frame: bytes) -> bool:
+        name, member = receiver
+        return bool(frame[0] & 1) or frame[:6] == self.stations[name].members[member].mac
 
     def inject(self, name: str, member: int, frame: bytes) -> None:
         """Let a node receive a frame from nowhere."""

@@ -31,6 +31,9 @@ from wnet.core.wire_control import Hello, NodeInfo, Topology
 _AT_ONCE_S = 0.005
 """A change is told within this, at random, so that neighbours do not all speak at once."""
 _SPACING_S = 0.02
+_LEAST_WAIT_S = 0.001
+_TC_FAST_S = 1.0
+"""A changed TC is repeated after this; digests tell who lacks it then."""
 _SYNC_INTERVAL_S = 5.0
 _PATIENCE_S = 1.5
 _SLOW_SEARCH = 5
@@ -88,7 +91,7 @@ class Control:
         self._own_info = own_info
         self._rng = rng
         self._hello = _Trickle(config.hello_fast_s, config.hello_slow_s, now=now + config.hello_fast_s * rng.random())
-        self._tc = _Trickle(2.0 * config.hello_fast_s, config.tc_slow_s, now=now + 2.0 * config.hello_fast_s)
+        self._tc = _Trickle(_TC_FAST_S, config.tc_slow_s, now=now + _TC_FAST_S)
         self._is_tc_urgent = False
         self._foreign: tuple[int, int] | None = None
         self._search_due = now
@@ -160,7 +163,7 @@ class Control:
     def _is_affordable(self, trickle: _Trickle, size_bytes: int, now: float) -> bool:
         wait_s = self._budget.wait_s(self._airtime_s(size_bytes), now=now)
         if wait_s > 0.0:
-            trickle.due = now + wait_s
+            trickle.due = now + max(wait_s, _LEAST_WAIT_S)  # a sum that rounds to now would be asked for for ever
         return wait_s == 0.0
 
     def _hello_bytes(self) -> int:

@@ -284,7 +284,7 @@ class Mesh:
             self._control.next_due(),
             self._neighbours.next_due(),
             self._groups.next_due(),
-            self._graph.next_expiry(),
+            self._graph.next_expiry,
         )
 
     def handle_timer(self, *, now: float) -> None:
@@ -292,7 +292,7 @@ class Mesh:
         self._retries.handle(now=now)
         if self._neighbours.next_due() <= now:
             self._neighbours.handle(now=now)
-        if self._graph.next_expiry() <= now:
+        if self._graph.next_expiry <= now:
             self._graph.expire(now=now)
         if self._groups.next_due() <= now:
             self._forwarder.delivered.extend(self._groups.handle(now=now))

@@ -58,6 +58,8 @@ class TopologyGraph:
         self.nodes: dict[bytes, Node] = {mac: self.own}
         self.version = 0
         self.digest = 0
+        self.next_expiry = float("inf")
+        """When :meth:`expire` may have something to do, not before."""
         self._adjacency: dict[bytes, dict[bytes, float]] | None = None
 
     # -- what is told ------------------------------------------------------------------------------------------------
@@ -85,7 +87,7 @@ class TopologyGraph:
         if node is None:
             return
         self._renew(node, epoch)
-        node.expires = max(node.expires, now + hold_s)
+        self._keep(node, max(node.expires, now + hold_s))
         self._set_info(node, info)
         if links is not None:
             node.has_spoken = True
@@ -102,7 +104,7 @@ class TopologyGraph:
         node = self._node(receiver)
         if node is None or node.has_spoken:
             return
-        node.expires = max(node.expires, now + hold_s)
+        self._keep(node, max(node.expires, now + hold_s))
         self._set_links(node, {**node.incoming, sender: Edge(0, told, now)})
 
     def is_newer(self, mac: bytes, epoch: int, sequence: int) -> bool:
@@ -125,7 +127,8 @@ class TopologyGraph:
         self.digest ^= _digest_of(node)
         node.sequence, node.tail = sequence, tail
         self.digest ^= _digest_of(node)
-        node.told_at, node.expires = now - age_s, now + hold_s
+        node.told_at = now - age_s
+        self._keep(node, now + hold_s)
         node.has_spoken = True
         self._set_info(node, topology.info)
         self._set_links(node, {link.node: Edge(link.link_id, link.attributes, now) for link in topology.links})
@@ -149,10 +152,11 @@ class TopologyGraph:
             del self.nodes[node.mac]
             self.digest ^= _digest_of(node)
             self.changed()
+        self.next_expiry = min(node.expires for node in self.nodes.values())
 
-    def next_expiry(self) -> float:
-        """When the next node is to be forgotten."""
-        return min(node.expires for node in self.nodes.values())
+    def _keep(self, node: Node, until: float) -> None:
+        node.expires = until
+        self.next_expiry = min(self.next_expiry, until)
 
     # -- what follows ------------------------------------------------------------------------------------------------
 
