@@ -104,6 +104,7 @@ def test_multicast_goes_where_a_listener_is(make_lab: MakeLab) -> None:
     sent = lab.exec("a", sys.executable, str(PROGRAMS), "send", "239.1.2.3", "10.240.0.1", "10")
     assert sent.returncode == 0, sent.stderr
     assert listener.next_reply(timeout_s=30)["exit"] == 0, "ten came, each once"
+    listener.close()
     lab.close()
     with Capture.open(lab.capture) as capture:
         packets = [record for record in capture.records({Kind.PACKET}) if isinstance(record, PacketRecord)]
