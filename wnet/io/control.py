@@ -1,7 +1,7 @@
 """The Unix socket on which the daemon answers ``wnet topology|links|routes``: one word in, one JSON object out.
 
-A connection is one question: a line, then its answer to the end of the stream. Nobody can hold the daemon up: a
-question that is not there at once is dropped, and so is an answer that is not taken.
+A connection is one question: a line, then its answer to the end of the stream. Nobody holds the daemon up: it waits for
+no question, and not for long for an answer to be taken.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from typing import Any
 _MODE = 0o600
 _QUESTION_BYTES_MAX = 64
 _ANSWER_WAIT_S = 5.0
-_BACKLOG = 16
+_BACKLOG = 128
+_PATIENCE_S = 0.05  # with one who reads slowly
 _ASKING_MAX = 16
 QUESTIONS = ("topology", "links", "routes", "stats")
 
@@ -88,9 +89,8 @@ class ControlServer:
             if not word:
                 return
             told = self._answer(word) if word in QUESTIONS else {"error": f"there is no question '{word}'"}
-            data = json.dumps(told).encode() + b"\n"
-            asking.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, len(data) + 4096)
-            asking.send(data)
+            asking.settimeout(_PATIENCE_S)
+            asking.sendall(json.dumps(told).encode() + b"\n")
 
     def close(self) -> None:
         """Stop, and remove the socket."""
