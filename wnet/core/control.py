@@ -140,9 +140,9 @@ class Control:
         age_s = max(now - node.told_at, 0.0)
         return Packet(wire.TC, node.tail or b"", self._config.hop_limit, CONTROL, None, age_s=age_s)
 
-    def relayed(self, tail: bytes, *, now: float) -> None:
-        """Account for another node's TC."""
-        self._budget.spend(self._airtime_s(len(tail)), now=now)
+    def account(self, size_bytes: int, *, now: float) -> None:
+        """Account for what is sent besides: another node's TC, a probe."""
+        self._budget.spend(self._airtime_s(size_bytes), now=now)
 
     # -- time --------------------------------------------------------------------------------------------------------
 
@@ -177,6 +177,8 @@ class Control:
     def _send_hellos(self, now: float) -> None:
         self._measure_utilisation(now)
         interval_s = self._hello.sent(self._rng, now=now)
+        cost_s = len(self._members) * self._airtime_s(self._hello_bytes() // max(len(self._members), 1))
+        interval_s = max(interval_s, self._budget.wait_s(2.0 * cost_s, now=now))  # silence longer than told is probed
         mprs = self._floods.mprs
         for member in range(len(self._members)):
             self._send_hello(member, interval_s, mprs, is_partial=False, now=now)

@@ -33,6 +33,7 @@ __all__ = ["Count", "Drop", "Member", "Mesh", "Outgoing", "Reception"]
 
 MESH_MTU_BYTES = 1500
 _LEAST_PROBE_TRIES = 3
+_PROBE_AND_ACK_BYTES = 2 * wire.ETHERNET_BYTES + wire.HEAD_BYTES + wire_control.ACK_BYTES
 
 
 class Mesh:
@@ -251,7 +252,7 @@ class Mesh:
         age_s = data.sequence * wire.AGE_UNIT_S
         is_relay = any(hop.peer_mac == own_mac for hop in data.hops) or self._neighbours.is_news(now=now)
         if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and is_relay:
-            self._control.relayed(data.tail, now=now)
+            self._control.account(len(data.tail), now=now)
             self._forwarder.relay_flood(data, link, now=now)
 
     # -- frames out --------------------------------------------------------------------------------------------------
@@ -344,6 +345,7 @@ class Mesh:
         if link.probe is None:
             packet = Packet(wire.PROBE, b"", 1, CONTROL, None)
             link.probe = Transmission(packet, link.member, [Entry(link, ())], self._probe_tries)
+            self._control.account(_PROBE_AND_ACK_BYTES, now=now)
             self._outbox.submit(link.probe, now=now)
 
     def lose(self, link: Link, reason: LinkDownReason, *, now: float) -> None:
