@@ -33,7 +33,6 @@ LINE = (("a", "relay1"), ("relay1", "relay2"), ("relay2", "b"))
 HOP_DELAY = "2ms"
 RATE_HZ = 50.0
 DEAD_S = 15.0
-NEVER_S = 30.0
 ENDS = ("a", "b")
 
 Hop = tuple[str, str]
@@ -97,9 +96,7 @@ def measure(case: Case, mesh: Mesh, engine: str, cycles: int) -> list[float | No
     """Seconds per cycle from the cut or the restoration until both ends get what was sent since; None: never."""
     rng = random.Random(case.name)
     acts: list[tuple[int, int]] = []
-    cut_s = DEAD_S if case.restored else NEVER_S
-    left_s = NEVER_S if case.restored else 0.0
-    cycle_s = 1.0 + 2.0 + cut_s + left_s + mesh.settle_s
+    cycle_s = 1.0 + 2.0 + (DEAD_S if case.restored else 0.0) + mesh.patience_s + mesh.settle_s
     with Lab(scenario(case.hops), engine=engine, overrides=list(mesh.overrides), packets=False) as lab:
         time.sleep(mesh.settle_s)
         probes = Probes(lab)
@@ -108,26 +105,26 @@ def measure(case: Case, mesh: Mesh, engine: str, cycles: int) -> list[float | No
             words = ("--to", address(lab, other), "--rate", str(RATE_HZ), "--number", str(number))
             probes.start(node, *words, lasts_s=lasts_s)
         for _ in range(cycles):
-            acts.append(cycle(lab, case, rng.random()))
+            acts.append(cycle(lab, case, mesh, rng.random()))
             time.sleep(mesh.settle_s)
         told = probes.results()
     return [fresh_delay_s(told, since_ns, until_ns) for since_ns, until_ns in acts]
 
 
-def cycle(lab: Lab, case: Case, wait_s: float) -> tuple[int, int]:
+def cycle(lab: Lab, case: Case, mesh: Mesh, wait_s: float) -> tuple[int, int]:
     """Cut, and make whole again; returns when the act was that is measured, and until when it counts."""
     time.sleep(wait_s)  # anywhere between two routing messages
     old = carrier(lab, "b", "rx_bytes") if case.hops is DIAMOND else ""
     hops = case.choose(lab)
     since_ns = switch(lab, hops, active=True)
     if case.restored is None:
-        time.sleep(NEVER_S)
+        time.sleep(mesh.patience_s)
         until_ns = switch(lab, hops, active=False)
         return since_ns, until_ns
     time.sleep(DEAD_S)
     restored = case.restored(hops, old)
     since_ns = switch(lab, restored, active=False)
-    time.sleep(NEVER_S)
+    time.sleep(mesh.patience_s)
     until_ns = switch(lab, [hop for hop in hops if hop not in restored], active=False)
     return since_ns, until_ns
 

@@ -17,23 +17,24 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh with its settings, and how long it takes until its routes are settled."""
+    """A mesh with its settings, how long it takes until its routes are settled, and how long a cut lasts at most."""
 
     name: str
     overrides: tuple[str, ...]
     settle_s: float
+    patience_s: float
 
 
 MESHES = {
     mesh.name: mesh
     for mesh in (
-        Mesh("wnet", ("mesh=wnet",), 10.0),
-        Mesh("flood", ("mesh=flood",), 2.0),
-        Mesh("babel", ("mesh=babel",), 40.0),
-        Mesh("babel-wireless-1s", ("mesh=babel", "babel.hello_interval=1s", "babel.wireless=true"), 30.0),
+        Mesh("wnet", ("mesh=wnet",), 6.0, 4.0),
+        Mesh("flood", ("mesh=flood",), 2.0, 4.0),
+        Mesh("babel", ("mesh=babel",), 40.0, 30.0),
+        Mesh("babel-wireless-1s", ("mesh=babel", "babel.hello_interval=1s", "babel.wireless=true"), 30.0, 20.0),
         # batman-adv IV judges a link by its last 64 routing messages: sooner, it still makes up its mind.
-        Mesh("BATMAN_IV", ("mesh=batman-adv", "batman_adv.routing_algorithm=BATMAN_IV"), 66.0),
-        Mesh("BATMAN_V", ("mesh=batman-adv", "batman_adv.routing_algorithm=BATMAN_V"), 66.0),
+        Mesh("BATMAN_IV", ("mesh=batman-adv", "batman_adv.routing_algorithm=BATMAN_IV"), 66.0, 15.0),
+        Mesh("BATMAN_V", ("mesh=batman-adv", "batman_adv.routing_algorithm=BATMAN_V"), 66.0, 15.0),
     )
 }
 
