@@ -63,6 +63,41 @@ def test_signal_noise_and_rate_arrive_and_a_rate_that_is_too_fast_does_not(make_
     assert told["c"] == [[-83, -91, 6e6, False, 803]] * 2, "8 dB do not carry 54 Mbit/s"
 
 
+FILTERED = """
+import json, select, sys, time
+from wnet.io.members import open_port
+port = open_port("radio0", mac=bytes.fromhex(sys.argv[1]))
+got, end = 0, time.monotonic() + 2.5
+raw = port.__dict__["_socket"]
+while (left := end - time.monotonic()) > 0:
+    if select.select([port], [], [], left)[0]:
+        while (data := raw.receive()) is not None:
+            got += data[-4:] == b"mark"
+print(got)
+"""
+MARK = """
+import socket, time
+from wnet.io import dot11, radiotap
+time.sleep(0.7)
+sock = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
+sock.bind(("radio0", 0))
+ends = ("024e4c000001", "024e4c000009"), ("0357ffffffff", "024e4c000009"), ("024e4c000007", "024e4c000001")
+for to, by in (*ends, ("024e4c000007", "024e4c000009")):
+    sock.send(radiotap.encode_transmit(None) + dot11.encode(bytes.fromhex(to + by + "88b7") + b"mark"))
+"""
+
+
+def test_a_member_is_not_woken_up_by_frames_for_others(make_lab: MakeLab) -> None:
+    lab = make_lab(RADIOS, packets=False)
+    told: dict[str, str] = {}
+    argv = (sys.executable, "-c", FILTERED, "024e4c000001")
+    listener = threading.Thread(target=lambda: told.update(b=lab.exec("b", *argv).stdout))
+    listener.start()
+    assert lab.exec("a", sys.executable, "-c", MARK).returncode == 0
+    listener.join()
+    assert told["b"] == "3\n", "to it, to a group, and from it as a report; not between two others"
+
+
 def listening(lab: Lab, name: str, told: dict[str, list[list[object]]]) -> threading.Thread:
     """Note what a node hears meanwhile."""
 

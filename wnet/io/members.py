@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import math
+import struct
 from typing import Protocol
 
 from wnet.core.events import Count, Drop
@@ -113,6 +114,7 @@ class MonitorPort:
         if len(self._mac) != _MAC_BYTES:
             self._socket.close()
             raise OSError(errno.EADDRNOTAVAIL, "it has no address of its own; give its member a mac")
+        self._socket.attach_filter(_for_or_from(self._mac))
         room_bytes = self._socket.mtu_bytes - radiotap.TRANSMIT_BYTES_MAX - dot11.EXTRA_BYTES
         self.member = Member(self._mac, True, mtu_bytes=room_bytes, rates_bps=rates_bps)
         self._unreported = 0
@@ -173,6 +175,31 @@ class MonitorPort:
             self._known.clear()
         header = self._known[head] = radiotap.decode(head)
         return header
+
+
+def _for_or_from(mac: bytes) -> bytes:
+    """A program that accepts radiotap frames to groups, to ``mac`` and from it, by the last four bytes of that.
+
+    In monitor mode a busy channel would wake up every node for every frame of the others.
+    """
+    (last,) = struct.unpack("!I", mac[2:])
+    steps = (
+        (0x30, 0, 0, 3),  # A = upper byte of the radiotap header's length
+        (0x64, 0, 0, 8),  # A <<= 8
+        (0x07, 0, 0, 0),  # X = A
+        (0x30, 0, 0, 2),  # A = lower byte
+        (0x0C, 0, 0, 0),  # A += X
+        (0x07, 0, 0, 0),  # X = A
+        (0x50, 0, 0, 4),  # A = first byte of the receiver's address
+        (0x45, 4, 0, 1),  # a group: accept
+        (0x40, 0, 0, 6),  # A = the address's last four bytes
+        (0x15, 2, 0, last),  # equal: accept
+        (0x40, 0, 0, 12),  # A = those of the sender's
+        (0x15, 0, 1, last),  # equal: accept, else not
+        (0x06, 0, 0, 0x40000),
+        (0x06, 0, 0, 0),
+    )
+    return b"".join(struct.pack("=HBBI", *step) for step in steps)
 
 
 def _problem(error: OSError) -> Count | Drop:

@@ -6,6 +6,7 @@ Send buffers are small: what does not leave at once is to wait in the mesh, wher
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import fcntl
 import socket
@@ -14,6 +15,8 @@ import struct
 _SOL_PACKET = 263
 _PACKET_IGNORE_OUTGOING = 23
 _SO_RCVBUFFORCE = 33
+_SO_ATTACH_FILTER = 26
+_INSTRUCTION_BYTES = 8
 _RECEIVE_BUFFER_BYTES = 4 << 20
 #: The kernel doubles it, and counts some 2.3 kB for a whole frame: a handful.
 _SEND_BUFFER_BYTES = 16 << 10
@@ -79,6 +82,13 @@ class PacketSocket:
         except OSError as error:
             self.is_deleted = error.errno in (errno.ENODEV, errno.ENXIO)
             return None
+
+    def attach_filter(self, program: bytes) -> None:
+        """Have the kernel drop what a classic BPF program does not accept; see linux/filter.h."""
+        code = ctypes.create_string_buffer(program, len(program))
+        # struct sock_fprog: instruction count, padding, pointer
+        order = struct.pack("@HP", len(program) // _INSTRUCTION_BYTES, ctypes.addressof(code))
+        self._socket.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, order)
 
     def close(self) -> None:
         """Stop."""
