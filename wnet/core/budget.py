@@ -30,6 +30,11 @@ class Budget:
         self._refill(now)
         return max(airtime_s - self._saved_s, 0.0) / self._part
 
+    @property
+    def debt_wait_s(self) -> float:
+        """How long a debt takes to be paid; 0 if there is none."""
+        return max(-self._saved_s, 0.0) / self._part
+
     def _refill(self, now: float) -> None:
         elapsed_s = max(now - self._at, 0.0)
         self._at = now

@@ -32,6 +32,8 @@ _AT_ONCE_S = 0.005
 """A change is told within this, at random, so that neighbours do not all speak at once."""
 _SPACING_S = 0.02
 _LEAST_WAIT_S = 0.001
+_LONGEST_INTERVALS = 3.0
+"""A debt does not delay HELLOs by more than so many of the slow intervals."""
 _TC_FAST_S = 1.0
 """A changed TC is repeated after this; digests tell who lacks it then."""
 _SYNC_INTERVAL_S = 5.0
@@ -93,6 +95,8 @@ class Control:
         self._hello = _Trickle(config.hello_fast_s, config.hello_slow_s, now=now + config.hello_fast_s * rng.random())
         self._tc = _Trickle(_TC_FAST_S, config.tc_slow_s, now=now + _TC_FAST_S)
         self._is_tc_urgent = False
+        self._promised = float("inf")
+        """When the next HELLOs are due by what the last ones told."""
         self._foreign: tuple[int, int] | None = None
         self._search_due = now
         self._searched: dict[int, float] = {}
@@ -153,7 +157,9 @@ class Control:
     def handle(self, *, now: float) -> None:
         """Send what is due and affordable."""
         self._budget.divide(len(self._graph.nodes))
-        if self._hello.due <= now and self._is_affordable(self._hello, self._hello_bytes(), now):
+        if self._hello.due <= now and (
+            self._promised <= now or self._is_affordable(self._hello, self._hello_bytes(), now)
+        ):
             self._send_hellos(now)
         if self._tc.due <= now and self._is_affordable(self._tc, 80 + 10 * len(self._graph.own.incoming), now):
             self._send_tc(now)
@@ -176,12 +182,22 @@ class Control:
 
     def _send_hellos(self, now: float) -> None:
         self._measure_utilisation(now)
-        interval_s = self._hello.sent(self._rng, now=now)
-        cost_s = len(self._members) * self._airtime_s(self._hello_bytes() // max(len(self._members), 1))
-        interval_s = max(interval_s, self._budget.wait_s(2.0 * cost_s, now=now))  # silence longer than told is probed
+        interval_s = self._promise(now)
         mprs = self._floods.mprs
         for member in range(len(self._members)):
             self._send_hello(member, interval_s, mprs, is_partial=False, now=now)
+
+    def _promise(self, now: float) -> float:
+        """Return the time until the next HELLOs: the interval's, or longer if that is not affordable.
+
+        It is kept in any case, since neighbours probe whoever is silent for longer than told.
+        """
+        wait_s = self._hello.sent(self._rng, now=now)
+        affordable_s = self._budget.wait_s(2.0 * self._airtime_s(self._hello_bytes()), now=now)
+        longest_s = max(_LONGEST_INTERVALS * self._config.hello_slow_s, affordable_s - self._budget.debt_wait_s)
+        wait_s = max(wait_s, min(affordable_s, longest_s))
+        self._promised = self._hello.due = now + wait_s
+        return wait_s
 
     def _send_hello(
         self, member: int, interval_s: float, mprs: frozenset[bytes], *, is_partial: bool, now: float

@@ -244,16 +244,16 @@ class Forwarder:
                 self._submit_entries(packet, member, [Entry(link, tuple(destinations))], now)
                 return
         entries: list[Entry] = []
+        if wire.forward_list_bytes([1]) > limit:
+            self._drop(packet, Drop.OVERSIZED, now)
+            return
         for link, destinations in shares.items():
             for entry in _pieces(link, destinations, limit):
-                if entries and _list_bytes([*entries, entry]) > limit:
+                if _list_bytes([*entries, entry]) > limit:
                     self._submit_entries(packet, member, entries, now)
                     entries = []
                 entries.append(entry)
-        if _list_bytes(entries) > limit:
-            self._drop(packet, Drop.OVERSIZED, now)
-        else:
-            self._submit_entries(packet, member, entries, now)
+        self._submit_entries(packet, member, entries, now)
 
     def _submit_entries(self, packet: Packet, member: int, entries: list[Entry], now: float) -> None:
         tries = self._config.tries

@@ -23,7 +23,7 @@ from wnet.core.neighbours import Neighbours
 from wnet.core.outbox import CONTROL, Outbox
 from wnet.core.retries import Retries
 from wnet.core.routes import Routes
-from wnet.core.seal import SEAL_BYTES, Seal
+from wnet.core.seal import Seal
 from wnet.core.snapshot import Snapshot
 from wnet.core.topology import TopologyGraph
 from wnet.core.transmissions import Entry, Packet, Transmission
@@ -116,10 +116,11 @@ class Mesh:
 
     @property
     def mtu_bytes(self) -> int:
-        """The MTU that the mesh interface may have: 1500, or less where a member or the seal leaves less."""
-        seal_bytes = SEAL_BYTES if self._seal else 0
-        least = min((member.mtu_bytes for member in self._members), default=MESH_MTU_BYTES + 100)
-        return min(MESH_MTU_BYTES, least - seal_bytes - wire.HEADER_BYTES - wire.ETHERNET_BYTES)
+        """The MTU that the mesh interface may have so that everything fits, multicast to one destination at least:
+        1500, or less where a member or the seal leaves less. A unicast frame may be 16 bytes longer."""
+        overhead = wire.HEADER_BYTES + wire.forward_list_bytes([1]) + wire.ETHERNET_BYTES
+        least = min((self._outbox.limit_bytes(member) for member in range(len(self._members))), default=1 << 16)
+        return min(MESH_MTU_BYTES, least - overhead)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -182,7 +183,9 @@ class Mesh:
         kind = body[0] if body else 0
         if kind == wire.HELLO:
             self._take_hello(member, source, body, reception, now)
-        elif kind not in wire.KINDS or kind in (wire.AGGREGATE, wire.SEALED):
+        elif kind == wire.SEALED:
+            self._journal.count(Drop.UNKNOWN_KEY)
+        elif kind not in wire.KINDS or kind == wire.AGGREGATE:
             self._journal.count(Drop.VERSION)
         elif link is None or not (link.is_listed or self._seal is None):
             self._journal.count(Drop.STRANGER)
