@@ -17,7 +17,6 @@ from the end of the frame on, SIFS too early.
 
 from __future__ import annotations
 
-import contextlib
 import heapq
 import math
 import random
@@ -82,7 +81,6 @@ class Channel:
         self._rates = rate_control
         self._wants_to_hear = not isinstance(rate_control, FixedRate)
         self._airtimes_s: dict[tuple[Rate, int], float] = {}
-        self._rates_by_bps: dict[float, Rate] = {}
         self._on_air: list[Signal] = []
         self._ends: list[tuple[float, int, bool, Exchange]] = []  # heap; True: of the whole exchange
         self._order = 0
@@ -120,19 +118,12 @@ class Channel:
         return self._receptions.rssi_dbm(self._place[sender], self._place[receiver])
 
     def offer(
-        self,
-        sender: int,
-        frame: bytes,
-        receiver: int | None,
-        *,
-        now: float,
-        tag: int = 0,
-        rate_bps: float | None = None,
+        self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int = 0, rate: Rate | None = None
     ) -> list[Fate]:
         """Queue an Ethernet frame at ``sender`` for ``receiver``, None for whoever hears it.
 
         Call :meth:`advance` with the same ``now`` before. A ``now`` in the channel's past counts as its present.
-        ``rate_bps`` is for group frames; one that the radio does not have counts as None, the lowest basic one.
+        ``rate`` is for group frames; None is the lowest basic one.
 
         Returns:
             What is decided at once: nothing, or that the queue is full, for everyone whom the frame concerns.
@@ -146,7 +137,7 @@ class Channel:
             return [(port, Verdict.QUEUE_FULL) for port in concerned]
         addressee = None if receiver is None else self._place[receiver]
         size_bytes = self._phy.psdu_bytes(len(frame))
-        queue.append(Queued(station, addressee, frame, now, tag, size_bytes, self._rate_of(rate_bps)))
+        queue.append(Queued(station, addressee, frame, now, tag, size_bytes, rate))
         self._queued_bytes[station] += len(frame)
         if len(queue) == 1:
             self._contend(station, 0, now=max(now, self._now))
@@ -279,14 +270,6 @@ class Channel:
             self._contend(done.sender, 0, now=now)
 
     # -- parts ----------------------------------------------------------------------------------------------------
-
-    def _rate_of(self, bps: float | None) -> Rate | None:
-        if bps is None:
-            return None
-        if bps not in self._rates_by_bps:
-            with contextlib.suppress(ValueError):
-                self._rates_by_bps[bps] = self._phy.rate(bps)
-        return self._rates_by_bps.get(bps)
 
     def _hear(self, station: int, peer: int) -> None:
         if self._wants_to_hear:

@@ -60,7 +60,8 @@ def test_messages_cross_two_hops_and_every_frame_tells_its_signal(make_lab: Make
 
 def test_the_daemon_knows_what_its_radios_hear(make_lab: MakeLab) -> None:
     lab = make_lab(TWO_HOPS)
-    lab.run()
+    lab.begin()
+    lab.wait_until(3.0)
     links = json.loads(lab.exec("r", "wnet", "links", "--json").stdout)["links"]
     assert {(row["neighbour"][-2:], row["is_usable"]) for row in links} == {("01", True), ("03", True)}
     told = {row["neighbour"][-2:]: row["snr_in_db"] for row in links}
