@@ -21,6 +21,7 @@ from wnet.io.mesh_interface import MeshInterface
 # Frames taken from one descriptor before the others get their turn.
 _BURST_FRAMES = 32
 _REPORT_S = 1.0
+_RETRY_S = 0.001
 
 
 class Node:
@@ -67,7 +68,7 @@ class Node:
                 self._report(now)
                 report_at_s = now + _REPORT_S
             self._settle(now)
-            self._take(self._wait(report_at_s))
+            self._take(self._wait(report_at_s, now))
         self._report(time.monotonic())
 
     def close(self) -> None:
@@ -79,9 +80,15 @@ class Node:
         self._wake.close()
         self.wake_write.close()
 
-    def _wait(self, report_at_s: float) -> list[int]:
-        """Sleep until there is something to do; returns the descriptors that are readable."""
+    def _wait(self, report_at_s: float, now: float) -> list[int]:
+        """Sleep until there is something to do; returns the descriptors that are readable.
+
+        ``now`` is when everything was done that could be. To ask again at once would burn the processor, and where time
+        is virtual keep it from passing.
+        """
         timer = self._mesh.next_timer()
+        if timer is not None and timer <= now:  # it was due already, and found no room on a radio
+            timer = now + _RETRY_S
         self._due_s = until_s = report_at_s if timer is None else min(timer, report_at_s)
         for port in self._ports:
             frees_at_s = port.frees_at()
