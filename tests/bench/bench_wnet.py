@@ -2,7 +2,7 @@
 
 `python tests/bench/bench_wnet.py PART ... [--mesh NAME ...]` measures parts, each into a file of ``--results``:
 
-* `reroute`: the cases of ``bench_mesh.py`` (virtual time);
+* `reroute`: the cases of ``bench_mesh_cuts.py`` (virtual time);
 * `multicast`: one source, three receivers by radio, 1000-byte datagrams at constant rates (virtual time);
 * `control`: what 20 idle nodes by radio send, as a share of a 6 Mbit/s channel (virtual time);
 * `throughput`: TCP over three hops of 50 Mbit/s (real time: on a machine that does nothing else).
@@ -23,7 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bench_mesh import CASES, address, measure
+from bench_mesh_cuts import CASES, address, measure
 from mesh_rig_lab import MESHES, NS_PER_S, Mesh, Probes, quantile
 
 from netlab.lab.facade import Lab

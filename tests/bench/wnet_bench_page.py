@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bench_mesh import CASES
+from bench_mesh_cuts import CASES
 from mesh_rig_lab import MESHES, quantile
 
 _HEAD = """# wnet beside other meshes
