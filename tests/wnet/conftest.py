@@ -174,11 +174,14 @@ class MeshNet:
         """Let time pass; with ``until``, stop when it holds and say whether it did."""
         end_s = self.now + duration_s
         self._settle(self.stations)
+        steps = 0
         while until is None or not until():
             next_s = self._next_s()
             if next_s > end_s:
                 self.now = end_s
                 return False
+            steps = 0 if next_s > self.now else steps + 1
+            assert steps < 1000, f"time stands still at {self.now}: somebody asks for a time that is not ahead"
             self.now = max(self.now, next_s)
             self._step()
         return True

@@ -67,7 +67,7 @@ def relay_of(net, source: str, destination: str) -> str:
 
 
 def reroute_s(make_mesh_net, seed: int, cut: str, loss_ratio: float = 0.0) -> float:
-    """How long traffic pauses when the relay on its path is lost without a word. ``cut``: "relay", or one of its ends."""
+    """How long traffic pauses when its relay is lost without a word. ``cut``: "relay", or the end of its link."""
     net = diamond(make_mesh_net, seed, loss_ratio=loss_ratio)
     relay, since_s = relay_of(net, "a", "b"), net.now
     if cut == "relay":

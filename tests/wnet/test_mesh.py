@@ -317,3 +317,52 @@ def test_every_metric_finds_a_way(make_mesh_net, metric: str) -> None:
         net.send("a", "d", b"x")
         net.run(0.05)
     assert len(net.got("d")) >= 48
+
+
+def test_a_broadcast_is_repeated_for_the_relays_where_asked(make_mesh_net) -> None:
+    arrived = {}
+    for tries in (1, 3):
+        net = make_mesh_net(seed=4, broadcast_tries=tries)
+        for name in "abc":
+            net.add(name)
+        for ends in ("ab", "bc"):
+            net.radio(*ends)
+        assert net.run(5.0, until=net.all_known)
+        net.run(3.0)
+        net.change("a", "b", loss_ratio=0.4)
+        for number in range(50):
+            net.send("a", b"\xff" * 6, bytes((number,)))
+            net.run(0.2)
+        arrived[tries] = len(net.got("c"))
+    assert arrived[1] <= 36  # 60 % are expected
+    assert arrived[3] >= 42  # 94 % are
+
+
+def test_who_sends_much_is_seen_to_use_the_air(make_mesh_net) -> None:
+    net = make_mesh_net(utilisation_weight=1.0)
+    net.line("abc")
+    assert net.run(5.0, until=net.all_known)
+    net.every(0.004, lambda: net.send("a", "b", bytes(1400)), until_s=net.now + 8.0)
+    net.run(8.0)
+    told = {node.mac: node.utilisation_ratio for node in net.stations["c"].mesh.snapshot(now=net.now).nodes}
+    assert 0.3 < told[net.stations["b"].mac] < 0.9  # what it hears of a counts: 2 ms of every 4
+    edges = {(e.sender, e.receiver): e.quality for e in net.stations["c"].mesh.snapshot(now=net.now).edges}
+    assert max(edges.values()) < 0.9
+
+
+def test_the_numbers_of_frames_wrap(make_mesh_net) -> None:
+    net = make_mesh_net()
+    net.line("abc")
+    assert net.run(5.0, until=net.all_known)
+    for name in "abc":
+        station = net.stations[name]
+        station.mesh._forwarder._sequence = 2**32 - 5
+        for link in station.mesh._neighbours:
+            link.next_sequence = 0xFFFA
+    net.run(30.0)  # TCs count on over the wrap, too
+    for number in range(40):
+        net.send("a", "c", bytes((number,)))
+        net.run(0.02)
+    assert len(net.got("c")) == 40
+    assert net.all_known()
+    assert not net.told("b", LinkDown)

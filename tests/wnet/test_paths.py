@@ -43,11 +43,14 @@ def both(pairs: Iterable[tuple[int, int]], loss: float = 0.0) -> list[Edge]:
 
 @st.composite
 def meshes(draw: st.DrawFn) -> list[Edge]:
-    """Up to 9 nodes; some links work in one direction only."""
-    count = draw(st.integers(2, 9))
-    pairs = [(a, b) for a in range(count) for b in range(count) if a != b]
-    chosen = draw(st.lists(st.sampled_from(pairs), unique=True, min_size=1))
-    return [(a, b, draw(st.sampled_from([0.0, 0.1, 0.3, 0.5]))) for a, b in chosen]
+    """Up to 12 nodes; some links work in one direction only."""
+    count = draw(st.integers(3, 12))
+    rng = draw(st.randoms(use_true_random=False))
+    density = draw(st.sampled_from([0.2, 0.35, 0.6]))
+    pairs = [(a, b) for a in range(count) for b in range(a) if rng.random() < density]
+    edges = both(pairs)
+    one_way = [edge for edge in edges if rng.random() < 0.1]
+    return [(a, b, rng.choice([0.0, 0.1, 0.3, 0.5])) for a, b, _loss in edges if (a, b, _loss) not in one_way]
 
 
 def usable(edges: list[Edge]) -> set[tuple[int, int]]:
