@@ -35,7 +35,7 @@ class DaemonConfig:
     """One node's file."""
 
     members: tuple[MemberConfig, ...]
-    """At least one."""
+    """The interfaces over which nodes hear each other; none makes a node alone."""
     interface: str = "wnet0"
     """The mesh interface, which the node's programs see; made if it is not there."""
     address: str = ""
@@ -97,8 +97,8 @@ def _table(value: object) -> Mapping[str, object]:
 
 
 def _members(value: object) -> tuple[MemberConfig, ...]:
-    if not isinstance(value, list) or not value:
-        raise ValueError('has to be a list of at least one member, as [{interface = "wlan0"}]')
+    if not isinstance(value, list):
+        raise ValueError('has to be a list of members, as [{interface = "wlan0"}]')
     members = tuple(_member(_table(entry)) for entry in value)
     names = [member.interface for member in members]
     if len(set(names)) < len(names):

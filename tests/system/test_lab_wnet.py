@@ -172,6 +172,11 @@ def test_who_has_no_taps_gets_a_veth(tmp_path: Path, need_tool: Callable[[str], 
     assert stream["delivered"] == stream["sent"] == 40
 
 
+def test_a_node_without_links_is_a_mesh_of_its_own(make_lab: MakeLab) -> None:
+    lab = make_lab({**QUIET, "nodes": {**QUIET["nodes"], "z": {}}}, packets=False)
+    assert json.loads(lab.exec("z", "wnet", "links", "--json").stdout)["links"] == []
+
+
 def test_a_cut_costs_little_while_another_way_is_left(make_lab: MakeLab) -> None:
     ways = [("a", "r"), ("r", "b"), ("a", "q"), ("q", "b")]
     cuts = [("0.5s", "r"), ("1.5s", "q")]

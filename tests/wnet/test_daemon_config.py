@@ -51,7 +51,7 @@ def test_all_mistakes_are_told_at_once() -> None:
     ("text", "problem"),
     [
         ("", 'members: missing; name the interfaces, as members = [{interface = "wlan0"}]'),
-        ("members = []", "has to be a list of at least one member"),
+        ("members = 1", "has to be a list of members"),
         ('members = [{interface = "a"}, {interface = "a"}]', "names an interface twice"),
         ('members = [{interface = "a", radio = 1}]', "radio has to be true or false"),
         ("members =", "f.toml: "),
