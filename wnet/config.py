@@ -6,12 +6,11 @@ because each computes the whole path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from importlib.util import find_spec
 
-from udp_mesh.core.keys import MAX_KEYS, parse_key
+from udp_mesh.config_checks import Check, key, number, one_of
 
 #: What a member's frames may carry so that 1500 bytes fit with a seal and a forward list of a dozen destinations; a
 #: member that can do less still works (docs/wnet.md, "Sizes"). 802.11 carries up to 2304.
@@ -83,6 +82,9 @@ class MeshConfig:
     """Least time before a frame is sent again, 0.001..10."""
     lost_after_s: float = 0.12
     """A neighbour that owes an acknowledgement and says nothing for so long is lost, 0.02..60."""
+    relay_jitter_s: float = 0.002
+    """A relay waits up to this, at random, before it sends a flood on by radio, 0..1: who heard it with this node
+    relays it, too."""
     hop_limit: int = 32
     """Transmissions in a row of one frame, 1..255."""
     redundant_dscp: int | None = None
@@ -105,78 +107,49 @@ def parse(table: Mapping[str, object], *, source: str) -> MeshConfig:
     """
     problems: list[str] = []
     values: dict[str, object] = {}
-    for key, value in table.items():
-        check = CHECKS.get(key)
+    for name, value in table.items():
+        check = CHECKS.get(name)
         if check is None:
-            problems.append(f"{source}: {key}: unknown key; known are {', '.join(CHECKS)}")
+            problems.append(f"{source}: {name}: unknown key; known are {', '.join(CHECKS)}")
             continue
         try:
-            values[key] = check(value)
+            values[name] = check(value)
         except ValueError as error:
-            found = "" if key == "key" else f", not {value!r}"  # a secret does not belong into a log
-            problems.append(f"{source}: {key}: {error}{found}")
+            found = "" if name == "key" else f", not {value!r}"  # a secret does not belong into a log
+            problems.append(f"{source}: {name}: {error}{found}")
     if problems:
         raise ConfigError(problems)
     return replace(MeshConfig(), **values)  # type: ignore[arg-type]
 
 
-Check = Callable[[object], object]
-
-
-def _number(low: float, high: float, *, whole: bool = False) -> Check:
-    def check(value: object) -> object:
-        kinds = (int,) if whole else (int, float)
-        if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
-            raise ValueError(f"has to be a {'whole ' if whole else ''}number from {low:g} to {high:g}")
-        return value if whole else float(value)
-
-    return check
-
-
-def _metric(value: object) -> object:
-    if value not in [metric.value for metric in Metric]:
-        raise ValueError(f"has to be one of {', '.join(Metric)}")
-    return Metric(str(value))
-
-
-def _key(value: object) -> object:
-    given: list[object] = value if isinstance(value, list) else [value]
-    texts = [text for text in given if isinstance(text, str)]
-    if not 0 < len(texts) <= MAX_KEYS or texts != given:
-        raise ValueError(f"has to be a key of 64 hexadecimal digits in quotes, or a list of 1..{MAX_KEYS} of them")
-    keys = tuple(parse_key(text) for text in texts)
-    if find_spec("cryptography") is None:
-        raise ValueError("needs the Python package cryptography; install it: pip install 'udp-mesh-lab[secure]'")
-    return keys
-
-
 CHECKS: dict[str, Check] = {
-    "metric": _metric,
-    "signal_weight": _number(0, 100),
-    "loss_weight": _number(0, 100),
-    "utilisation_weight": _number(0, 100),
-    "noise_dbm": _number(-130, 0),
-    "signal_scale_db": _number(0.1, 100),
-    "loss_base": _number(1.001, 1e12),
-    "loss_steepness": _number(0.1, 1000),
-    "utilisation_base": _number(1.001, 1e12),
-    "utilisation_steepness": _number(0.1, 1000),
-    "hello_fast_s": _number(0.02, 60),
-    "hello_slow_s": _number(0.02, 60),
-    "tc_slow_s": _number(0.1, 600),
-    "search_s": _number(0, 3600),
-    "control_share": _number(0.0001, 1),
-    "channel_bps": _number(1e3, 1e12),
-    "tries": _number(1, 7, whole=True),
-    "broadcast_tries": _number(1, 7, whole=True),
-    "ack_delay_s": _number(0, 1),
-    "rto_min_s": _number(0.001, 10),
-    "lost_after_s": _number(0.02, 60),
-    "hop_limit": _number(1, 255, whole=True),
-    "redundant_dscp": _number(0, 63, whole=True),
-    "aggregate_bytes": _number(0, 1500, whole=True),
-    "queue_frames": _number(1, 100_000, whole=True),
-    "queue_lifetime_s": _number(0.01, 60),
-    "key": _key,
+    "metric": one_of(Metric),
+    "signal_weight": number(0, 100, whole=False),
+    "loss_weight": number(0, 100, whole=False),
+    "utilisation_weight": number(0, 100, whole=False),
+    "noise_dbm": number(-130, 0, whole=False),
+    "signal_scale_db": number(0.1, 100, whole=False),
+    "loss_base": number(1.001, 1e12, whole=False),
+    "loss_steepness": number(0.1, 1000, whole=False),
+    "utilisation_base": number(1.001, 1e12, whole=False),
+    "utilisation_steepness": number(0.1, 1000, whole=False),
+    "hello_fast_s": number(0.02, 60, whole=False),
+    "hello_slow_s": number(0.02, 60, whole=False),
+    "tc_slow_s": number(0.1, 600, whole=False),
+    "search_s": number(0, 3600, whole=False),
+    "control_share": number(0.0001, 1, whole=False),
+    "channel_bps": number(1e3, 1e12, whole=False),
+    "tries": number(1, 7, whole=True),
+    "broadcast_tries": number(1, 7, whole=True),
+    "ack_delay_s": number(0, 1, whole=False),
+    "rto_min_s": number(0.001, 10, whole=False),
+    "lost_after_s": number(0.02, 60, whole=False),
+    "relay_jitter_s": number(0, 1, whole=False),
+    "hop_limit": number(1, 255, whole=True),
+    "redundant_dscp": number(0, 63, whole=True),
+    "aggregate_bytes": number(0, 1500, whole=True),
+    "queue_frames": number(1, 100_000, whole=True),
+    "queue_lifetime_s": number(0.01, 60, whole=False),
+    "key": key,
 }
 """What each key of a file has to be; a check returns the value or raises ValueError."""

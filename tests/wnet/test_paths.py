@@ -91,8 +91,8 @@ def test_a_disjoint_path_shares_no_relay() -> None:
     graph = graph_of(both([(0, 1), (1, 2), (0, 3), (3, 4), (4, 2), (1, 4)]))
     routes = Routes(graph, lambda node: True)
     assert routes.path(mac(2)) == [mac(1), mac(2)]
-    assert routes.disjoint_path(mac(2)) == [mac(3), mac(4), mac(2)]
-    assert routes.disjoint_path(mac(1)) == []  # a neighbour
+    assert routes.disjoint_path(mac(2)) == (mac(3), mac(4), mac(2))
+    assert routes.disjoint_path(mac(1)) == ()  # a neighbour
 
 
 @given(meshes())

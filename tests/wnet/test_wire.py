@@ -52,6 +52,26 @@ def test_a_unicast_frame_has_these_bytes() -> None:
     assert wire.HEADER_BYTES == 18
 
 
+def test_a_hello_has_these_bytes() -> None:
+    info = NodeInfo(1.0, (bytes((10, 0, 0, 1)),), (bytes.fromhex("01005e010203"),))
+    link = Heard(B, 0x11223344, 2, 1, 5, True, True, Attributes(51 / 255, -3.0, 1_000_000), None)
+    body = wire_control.encode_hello(Hello(A, 0x01020304, 1, 0x0506, 0.1, 0x0708090A, 0.2, True, info, (link,)))
+    before, after = "1101", "0133ff" + A.hex() + "01020304" + "0506" + "0064" + "0708090a"
+    after += "0101" + "0a000001" + "01005e010203" + "0001"
+    after += B.hex() + "11223344" + "21" + "c5" + "33fd50" + "ff8000"
+    check = crc_hqx(bytes.fromhex(before + "0000" + after), 0)
+    assert body.hex() == before + f"{check:04x}" + after
+
+
+def test_a_tc_and_an_acknowledgement_have_these_bytes() -> None:
+    link = Incoming(B, 5, Attributes(0.0, None, None))
+    inner = wire_control.encode_tc(Topology(A, 10.0, NodeInfo(0.0, (), ()), (link,)))
+    before, after = "ff" * 6 + A.hex(), "000a" + "0000" + "0001" + B.hex() + "05" + "008000"
+    assert inner.hex() == before + f"{crc_hqx(bytes.fromhex(before + '0000' + after), 0):04x}" + after
+    ack = wire_control.encode_ack(Ack(0x0102, 1, 0x80000001))
+    assert ack.hex() == "1201" + f"{crc_hqx(bytes.fromhex('12010000' + '010280000001'), 0):04x}" + "010280000001"
+
+
 @pytest.mark.parametrize("padding", [0, 30])
 def test_data_is_read_as_it_was_written(padding: int) -> None:
     tail = wire.tail_of(7, 8, INNER)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from wnet.config import MeshConfig
 from wnet.core import mpr, wire
 from wnet.core.link import Link
 from wnet.core.members import Member
@@ -27,13 +29,21 @@ class Floods:
     """Who relays this node's floods, and sending them."""
 
     def __init__(
-        self, graph: TopologyGraph, neighbours: Neighbours, outbox: Outbox, members: Sequence[Member], tries: int
+        self,
+        config: MeshConfig,
+        graph: TopologyGraph,
+        neighbours: Neighbours,
+        outbox: Outbox,
+        members: Sequence[Member],
+        rng: random.Random,
     ) -> None:
         self._graph = graph
         self._neighbours = neighbours
         self._outbox = outbox
         self._members = members
-        self._tries = tries
+        self._tries = config.broadcast_tries
+        self._jitter_s = config.relay_jitter_s
+        self._rng = rng
         self._version = -1
         self._plan = _Plan(frozenset(), {}, {})
 
@@ -51,7 +61,11 @@ class Floods:
             limit = self._outbox.limit_bytes(member) - wire.HEADER_BYTES - len(packet.tail)
             entries = [Entry(link, ()) for link in links if wire.relay_list_bytes(len(links)) <= limit]
             tries = self._tries if is_retried else 1
-            self._outbox.submit(Transmission(packet, member, entries, tries, is_group=True), now=now)
+            transmission = Transmission(packet, member, entries, tries, is_group=True)
+            if packet.via is not None and self._members[member].is_radio:
+                self._outbox.submit_later(transmission, self._jitter_s * self._rng.random(), now=now)
+            else:
+                self._outbox.submit(transmission, now=now)
         return bool(plan.relays)
 
     def send_to(self, link: Link, packet: Packet, *, now: float) -> None:

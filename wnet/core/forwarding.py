@@ -13,13 +13,14 @@ from collections.abc import Sequence
 from wnet.config import MeshConfig
 from wnet.core import groups, wire
 from wnet.core.arp import Arp
-from wnet.core.events import AlternateUsed, Count, Drop, RouteChanged
+from wnet.core.events import Count, Drop
 from wnet.core.flooding import Floods
 from wnet.core.groups import Groups
 from wnet.core.journal import Journal
 from wnet.core.link import Link
 from wnet.core.members import Member
 from wnet.core.neighbours import Neighbours
+from wnet.core.next_hops import NextHops
 from wnet.core.outbox import Outbox
 from wnet.core.routes import Routes
 from wnet.core.seen import Seen
@@ -28,7 +29,6 @@ from wnet.core.transmissions import Entry, Packet, Transmission
 from wnet.core.urgency import urgency_of, urgency_of_dscp
 
 _MOST_REROUTES = 2
-_MAX_ROUTES_TOLD = 1024
 _MAX_DELIVERED = 4096
 
 
@@ -64,10 +64,7 @@ class Forwarder:
         self._arp = arp
         self._sequence = first_sequence
         self._seen = Seen()
-        self._told: dict[bytes, bytes | None] = {}
-        self._avoided: dict[bytes, bytes] = {}
-        self._second_paths: tuple[int, dict[bytes, tuple[bytes, ...]]] = (-1, {})
-        self._listeners: tuple[int, dict[bytes, tuple[bytes, ...]]] = (-1, {})
+        self._next_hops = NextHops(routes, neighbours, journal)
         redundant = config.redundant_dscp
         self._redundant_urgency = -1 if redundant is None else urgency_of_dscp(redundant)
         self.delivered: deque[bytes] = deque(maxlen=_MAX_DELIVERED)
@@ -95,7 +92,7 @@ class Forwarder:
             self._send_second(packet, now)
             self._forward(packet, (destination,), now)
         elif groups.is_ip_group(destination) and destination not in groups.ALL_HOSTS:
-            listeners = self._listeners_of(destination)
+            listeners = self._routes.listeners(destination)
             if listeners:
                 self._forward(packet, listeners, now)
             else:
@@ -105,30 +102,11 @@ class Forwarder:
             if not self._floods.send(packet, is_retried=True, now=now):
                 self._drop(packet, Drop.NO_ROUTE, now)
 
-    def _listeners_of(self, group: bytes) -> tuple[bytes, ...]:
-        """Return the nodes that listen to a group and can be reached."""
-        if self._listeners[0] != self._graph.version:
-            self._listeners = (self._graph.version, {})
-        known = self._listeners[1].get(group)
-        if known is None:
-            known = tuple(
-                node.mac
-                for node in self._graph.nodes.values()
-                if group in node.info.groups and node.mac != self._mac and self._routes.get(node.mac) is not None
-            )
-            self._listeners[1][group] = known
-        return known
-
     def _send_second(self, packet: Packet, now: float) -> None:
         """Send an urgent frame along a second path that shares no relay with the first."""
         if packet.urgency > self._redundant_urgency:
             return
-        if self._second_paths[0] != self._graph.version:
-            self._second_paths = (self._graph.version, {})
-        destination = packet.destination
-        path = self._second_paths[1].get(destination)
-        if path is None:
-            path = self._second_paths[1][destination] = tuple(self._routes.disjoint_path(destination))
+        path = self._routes.disjoint_path(packet.destination)
         if path:
             self._journal.count(Count.REDUNDANT)
             second = Packet(wire.ROUTED, packet.tail, packet.hop_limit, packet.urgency, None, route=path)
@@ -220,13 +198,13 @@ class Forwarder:
 
     def _forward(self, packet: Packet, destinations: Sequence[bytes], now: float) -> None:
         if len(destinations) == 1:
-            link = self._next_link(packet, destinations[0], None, now)
+            link = self._next_link(packet, destinations[0], now)
             if link is not None:
                 self._submit(packet, link.member, {link: list(destinations)}, now)
             return
         by_member: dict[int, dict[Link, list[bytes]]] = {}
         for destination in destinations:
-            link = self._next_link(packet, destination, None, now)
+            link = self._next_link(packet, destination, now)
             if link is not None:
                 by_member.setdefault(link.member, {}).setdefault(link, []).append(destination)
         for member, shares in by_member.items():
@@ -272,58 +250,32 @@ class Forwarder:
             return
         self._submit_entries(packet, link.member, [Entry(link, (packet.destination,))], now)
 
-    def _next_link(self, packet: Packet, destination: bytes, but: Link | None, now: float) -> Link | None:
-        """Return the link to the next hop, or to an alternate while the next hop owes acknowledgements."""
-        route = self._routes.get(destination)
-        hops = route.hops if route is not None else ()
-        self._tell_route(destination, hops[0] if hops else None, route.cost if route else None, now)
-        fallback: Link | None = None
-        for hop in hops:
-            link = self._neighbours.best(hop)
-            if link is None or link is but or hop == packet.via:
-                continue
-            if not link.is_suspect:
-                if hop != hops[0]:
-                    self._note_alternate(destination, hops[0], hop, now)
-                elif destination in self._avoided:
-                    del self._avoided[destination]
-                return link
-            fallback = fallback or link
-        if fallback is None and but is None:
-            self._drop(packet, Drop.RETURNED if packet.via in hops else Drop.NO_ROUTE, now)
-        return fallback
+    def _next_link(self, packet: Packet, destination: bytes, now: float) -> Link | None:
+        found = self._next_hops.choose(packet, destination, but=None, now=now)
+        if isinstance(found, Drop):
+            self._drop(packet, found, now)
+            return None
+        return found
 
     def reroute(self, packet: Packet, entry: Entry, *, now: float) -> bool:
         """Send by another next hop what one has not acknowledged; False if there is none."""
         if packet.kind not in (wire.UNICAST, wire.MULTICAST) or packet.reroutes >= _MOST_REROUTES:
             return False
-        found = {node: self._next_link(packet, node, entry.link, now) for node in entry.destinations}
-        if not all(link is not None and not link.is_suspect for link in found.values()):
-            return False
+        found: dict[bytes, Link] = {}
+        for node in entry.destinations:
+            link = self._next_hops.choose(packet, node, but=entry.link, now=now)
+            if isinstance(link, Drop) or link.is_suspect:
+                return False
+            found[node] = link
         packet.reroutes += 1
         for node, link in found.items():
-            if link is not None:
-                self._submit(packet, link.member, {link: [node]}, now)
+            self._submit(packet, link.member, {link: [node]}, now)
         return True
 
     def resubmit(self, packet: Packet, entry: Entry, *, now: float) -> None:
         """Send by what the graph offers now what was meant for a link that is gone."""
         if packet.kind in (wire.UNICAST, wire.MULTICAST) and not self.reroute(packet, entry, now=now):
             self._drop(packet, Drop.NOT_ACKNOWLEDGED, now)
-
-    def _note_alternate(self, destination: bytes, next_hop: bytes, alternate: bytes, now: float) -> None:
-        self._journal.count(Count.ALTERNATE)
-        if self._avoided.get(destination) != next_hop and len(self._avoided) < _MAX_ROUTES_TOLD:
-            self._avoided[destination] = next_hop
-            self._journal.tell(AlternateUsed(now, destination, next_hop, alternate))
-
-    def _tell_route(self, destination: bytes, next_hop: bytes | None, cost: float | None, now: float) -> None:
-        if self._told.get(destination) == next_hop:
-            return
-        if len(self._told) >= _MAX_ROUTES_TOLD:
-            self._told.clear()
-        self._told[destination] = next_hop
-        self._journal.tell(RouteChanged(now, destination, next_hop, cost))
 
     def _drop(self, packet: Packet, reason: Drop, now: float) -> None:
         size_bytes = len(packet.tail) - wire.ORIGIN_BYTES

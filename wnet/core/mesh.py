@@ -1,6 +1,6 @@
 """One node's mesh behind one object: frames, timers and events in, frames and events out. No clock, no socket.
 
-Here frames are told apart and handed on; what is done with them belongs to the modules below.
+Here the parts are put together and called in turn; what they do belongs to their modules.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from wnet.core.link import Link
 from wnet.core.members import Member, Outgoing, Reception
 from wnet.core.neighbours import Neighbours
 from wnet.core.outbox import CONTROL, Outbox
+from wnet.core.receiver import Receiver
 from wnet.core.retries import Retries
 from wnet.core.routes import Routes
 from wnet.core.seal import Seal
@@ -65,7 +66,6 @@ class Mesh:
             now: Monotonic seconds.
         """
         self._mac = mac
-        self._noise_dbm = config.noise_dbm
         self._probe_tries = max(config.tries, _LEAST_PROBE_TRIES)
         self._members = list(members)
         epoch &= 0xFFFFFFFF
@@ -85,7 +85,7 @@ class Mesh:
             now=now,
         )
         self._routes = Routes(self._graph, lambda node: self._neighbours.best(node) is not None)
-        self._floods = Floods(self._graph, self._neighbours, self._outbox, self._members, config.broadcast_tries)
+        self._floods = Floods(config, self._graph, self._neighbours, self._outbox, self._members, rng)
         self._groups, self._arp = Groups(mac, now=now), Arp(mac)
         self._forwarder = Forwarder(
             config,
@@ -112,6 +112,19 @@ class Mesh:
             own_info=lambda: NodeInfo(0.0, self._arp.addresses, self._groups.macs),
             rng=rng,
             now=now,
+        )
+
+        self._receiver = Receiver(
+            config,
+            self._members,
+            self._seal,
+            self._graph,
+            self._neighbours,
+            self._outbox,
+            self._retries,
+            self._forwarder,
+            self._control,
+            self._journal,
         )
 
     @property
@@ -154,109 +167,7 @@ class Mesh:
 
     def receive(self, member: int, frame: bytes, *, now: float, reception: Reception | None = None) -> None:
         """Take a frame that came from a member, from its destination address on. Whatever it holds, never raises."""
-        if len(frame) <= wire.ETHERNET_BYTES or frame[12:14] != wire.ETHERTYPE:
-            self._journal.count(Drop.TOO_SHORT if len(frame) <= wire.ETHERNET_BYTES else Drop.OTHER_TYPE)
-            return
-        own_mac = self._members[member].mac
-        destination, source = frame[:6], frame[6:12]
-        if source == own_mac or (destination != own_mac and not destination[0] & 1):
-            self._journal.count(Count.OWN if source == own_mac else Drop.NOT_LISTED)
-            return
-        body = self._seal.open(frame) if self._seal is not None else frame[wire.ETHERNET_BYTES :]
-        if isinstance(body, Drop):
-            self._journal.count(body)
-            return
-        link = self._neighbours.find(member, source)
-        if body[:1] == wire.AGGREGATE_HEAD:
-            bodies = wire.split(body)
-            if isinstance(bodies, Drop):
-                self._journal.count(bodies)
-                return
-        else:
-            bodies = [body]
-        for part in bodies:
-            self._take(member, source, link, part, reception, now)
-
-    def _take(
-        self, member: int, source: bytes, link: Link | None, body: bytes, reception: Reception | None, now: float
-    ) -> None:
-        kind = body[0] if body else 0
-        if kind == wire.HELLO:
-            self._take_hello(member, source, body, reception, now)
-        elif kind == wire.SEALED:
-            self._journal.count(Drop.UNKNOWN_KEY)
-        elif kind not in wire.KINDS or kind == wire.AGGREGATE:
-            self._journal.count(Drop.VERSION)
-        elif link is None or not (link.is_listed or self._seal is None):
-            self._journal.count(Drop.STRANGER)
-        elif kind == wire.ACK:
-            self._take_ack(link, body, reception, now)
-        else:
-            self._take_data(link, body, reception, now)
-
-    def _take_hello(self, member: int, source: bytes, body: bytes, reception: Reception | None, now: float) -> None:
-        hello = wire_control.decode_hello(body)
-        if isinstance(hello, Drop):
-            self._journal.count(hello)
-            return
-        link = self._neighbours.take_hello(member, source, hello, reception=reception, now=now)
-        if link is not None and link.is_usable:
-            self._control.compare(link, now=now)
-
-    def _take_ack(self, link: Link, body: bytes, reception: Reception | None, now: float) -> None:
-        ack = wire_control.decode_ack(body)
-        if isinstance(ack, Drop):
-            self._journal.count(ack)
-            return
-        link.hear(reception, self._noise_dbm, now=now)
-        self._retries.acknowledge(link, ack, now=now)
-
-    def _take_data(self, link: Link, body: bytes, reception: Reception | None, now: float) -> None:
-        data = wire.decode(body)
-        if isinstance(data, Drop):
-            self._journal.count(data)
-            return
-        link.hear(reception, self._noise_dbm, now=now)
-        own_mac = self._members[link.member].mac
-        sequence = data.sequence
-        if data.hops or data.kind in (wire.FLOOD, wire.TC, wire.MULTICAST):
-            hop = next((hop for hop in data.hops if hop.peer_mac == own_mac), None)
-            sequence = -1 if hop is None else hop.sequence
-        if sequence >= 0:
-            ahead = link.data_window.take(sequence)
-            if ahead >= 0:
-                link.loss.count(ahead)
-            if data.is_ack_wanted:
-                self._outbox.owe(link, data.attempt, now=now)
-        if data.kind == wire.TC:
-            self._take_tc(link, data, own_mac, now)
-        elif data.kind != wire.PROBE:
-            link.note_traffic(now=now)
-            self._forwarder.receive(data, link, own_mac, now=now)
-
-    def _take_tc(self, link: Link, data: wire.Data, own_mac: bytes, now: float) -> None:
-        node = wire.source_of(data.tail)
-        epoch, sequence = wire.origin_of(data.tail)
-        if node == self._mac:
-            self._journal.count(Count.OWN)
-            if epoch != self._graph.own.epoch:
-                self._control.contradict(epoch, sequence, link, now=now)
-            return
-        if self._graph.is_former(node, epoch):
-            self._journal.count(Count.DUPLICATE)
-            return
-        if not self._forwarder.is_new_tc(data.tail) or not self._graph.is_newer(node, epoch, sequence):
-            self._journal.count(Count.DUPLICATE)
-            return
-        topology = wire_control.decode_tc(wire.inner_of(data.tail))
-        if isinstance(topology, Drop):
-            self._journal.count(topology)
-            return
-        age_s = data.sequence * wire.AGE_UNIT_S
-        is_relay = any(hop.peer_mac == own_mac for hop in data.hops) or self._neighbours.is_news(now=now)
-        if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and is_relay:
-            self._control.account(len(data.tail), now=now)
-            self._forwarder.relay_flood(data, link, now=now)
+        self._receiver.receive(member, frame, reception=reception, now=now)
 
     # -- frames out --------------------------------------------------------------------------------------------------
 
@@ -280,8 +191,8 @@ class Mesh:
     # -- time --------------------------------------------------------------------------------------------------------
 
     def next_timer(self) -> float | None:
-        """When :meth:`handle_timer` wants to be called; call it again after any other call. Acknowledgements that are
-        due then leave with :meth:`frames_to_send`."""
+        """When :meth:`handle_timer` wants to be called; call it again after any other call. What is
+        due to be sent then leaves with :meth:`frames_to_send`."""
         return min(
             self._outbox.next_due(),
             self._retries.next_due(),

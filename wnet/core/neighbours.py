@@ -219,7 +219,7 @@ class Neighbours:
                 if link.neighbour not in links or _is_better(incoming, links[link.neighbour][1]):
                     links[link.neighbour] = (link.link_id, incoming)
         self._graph.set_own_links(links, now=now)
-        for node in {link.neighbour for link in self._links.values()}:
+        for node in links.keys() | self._best.keys():
             self.update_best(node)
 
     def update_best(self, node: bytes) -> None:

@@ -5,6 +5,7 @@ The owner of the mesh pulls, so that a queue is here, where urgent frames overta
 
 from __future__ import annotations
 
+import heapq
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
@@ -28,6 +29,7 @@ ACKS_AT_ONCE = 8
 FRAME_OVERHEAD_S = 100e-6
 """What a radio spends on a frame beside its bits: preamble, access, the acknowledgement of the MAC."""
 _MAX_CONTROL = 256
+_MAX_LATER = 1024
 _FEWEST_BYTES = wire.AGGREGATED_BYTES + wire.HEADER_BYTES + wire.ETHERNET_BYTES
 
 _CONTROL_KINDS = frozenset((wire.HELLO, wire.TC, wire.PROBE))
@@ -54,6 +56,8 @@ class Outbox:
         self._queues = [MemberQueue(config.queue_frames) for _ in members]
         self._control: list[deque[tuple[bytes, bytes]]] = [deque(maxlen=_MAX_CONTROL) for _ in members]
         self._owing: list[dict[Link, None]] = [{} for _ in members]
+        self._later: list[tuple[float, int, Transmission]] = []
+        self._order = 0
         self.busy_s = 0.0
         """Airtime spent so far, reckoned."""
         self._limits = [member.mtu_bytes - (SEAL_BYTES if seal else 0) for member in members]
@@ -80,6 +84,14 @@ class Outbox:
         if dropped is not None:
             self._drop(dropped, Drop.QUEUE_FULL, now)
 
+    def submit_later(self, transmission: Transmission, delay_s: float, *, now: float) -> None:
+        """Queue a transmission when some time has passed."""
+        if len(self._later) < _MAX_LATER:
+            self._order += 1
+            heapq.heappush(self._later, (now + delay_s, self._order, transmission))
+        else:
+            self.submit(transmission, now=now)
+
     def owe(self, link: Link, attempt: int, *, now: float) -> None:
         """Acknowledge what came last, soon."""
         link.acks_owed += 1
@@ -97,14 +109,17 @@ class Outbox:
         return list(self._queues[link.member].remove(link))
 
     def next_due(self) -> float:
-        """When the next acknowledgement has to leave."""
-        return min((link.ack_due for owing in self._owing for link in owing), default=float("inf"))
+        """When the next acknowledgement has to leave, or the next frame that was to wait."""
+        due = min((link.ack_due for owing in self._owing for link in owing), default=float("inf"))
+        return min(due, self._later[0][0]) if self._later else due
 
     # -- out ---------------------------------------------------------------------------------------------------------
 
     def pull(self, *, now: float, room: Sequence[int] | None) -> list[Outgoing]:
         """Return what to send now, each member's most urgent first."""
         found: list[Outgoing] = []
+        while self._later and self._later[0][0] <= now:
+            self.submit(heapq.heappop(self._later)[2], now=now)
         for member in range(len(self._members)):
             most = None if room is None else max(room[member], 0)
             found.extend(islice(self._pull(member, now), most))

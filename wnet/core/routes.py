@@ -55,6 +55,8 @@ class Routes:
         self._version = -1
         self._routes: dict[bytes, Route | None] = {}
         self._distances: dict[bytes, dict[bytes, float]] = {}
+        self._second: dict[bytes, tuple[bytes, ...]] = {}
+        self._listeners: dict[bytes, tuple[bytes, ...]] = {}
 
     def get(self, destination: bytes) -> Route | None:
         """Return how to reach a node, None if it cannot be reached."""
@@ -84,12 +86,26 @@ class Routes:
             at = step
         return path if at == destination else []
 
-    def disjoint_path(self, destination: bytes) -> list[bytes]:
+    def disjoint_path(self, destination: bytes) -> tuple[bytes, ...]:
         """Return the best path that shares no relay with the best of all; empty if there is none."""
-        best = self.path(destination)
-        if len(best) < 2:
-            return []
-        return self.path(destination, without=frozenset(best[:-1]))
+        if self._version != self._graph.version:
+            self._forget()
+        found = self._second.get(destination)
+        if found is None:
+            best = self.path(destination)
+            second = self.path(destination, without=frozenset(best[:-1])) if len(best) > 1 else []
+            found = self._second[destination] = tuple(second)
+        return found
+
+    def listeners(self, group: bytes) -> tuple[bytes, ...]:
+        """Return the other nodes that listen to a multicast group (a MAC address) and can be reached."""
+        if self._version != self._graph.version:
+            self._forget()
+        found = self._listeners.get(group)
+        if found is None:
+            nodes = [node.mac for node in self._graph.nodes.values() if group in node.info.groups]
+            found = self._listeners[group] = tuple(mac for mac in nodes if self.get(mac) is not None)
+        return found
 
     def _step(
         self, at: bytes, distance: dict[bytes, float], without: frozenset[bytes], destination: bytes
@@ -146,3 +162,5 @@ class Routes:
         self._version = self._graph.version
         self._routes.clear()
         self._distances.clear()
+        self._second.clear()
+        self._listeners.clear()
