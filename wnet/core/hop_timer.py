@@ -1,8 +1,8 @@
 """The round trip over one hop: when to send again, and how much may be under way. RFC 6298 for the former.
 
 The window keeps the queue of the driver (or of whatever is between the two nodes) short, so that frames wait in our own
-queue, where urgent ones overtake: it grows while round trips stay near the least one seen, and shrinks when they have
-stayed above that for a while. A single late one is a process that had to wait for its turn, not a queue (RFC 8289).
+queue, where urgent ones overtake: it grows while round trips stay near the least one seen, and shrinks when several in
+a row are above that. A single late one is a process that had to wait for its turn, not a queue.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ FIRST_RTO_S = 0.05
 _LONGEST_RTO_S = 1.0
 _STANDING_DELAY_S = 0.01
 """How much longer than the least round trip frames may take before the window shrinks."""
-_PATIENCE_S = 0.05
-"""For how long they may."""
+_LATE_IN_A_ROW = 3
+"""How many of them make a queue."""
 _LEAST_FRAMES, _FIRST_FRAMES, _MOST_FRAMES = 4.0, 32.0, 1024.0
 _MINIMUM_LIFETIME_S = 10.0
 
@@ -20,7 +20,7 @@ _MINIMUM_LIFETIME_S = 10.0
 class HopTimer:
     """Round-trip times of one link and what follows from them."""
 
-    __slots__ = ("_above_since", "_floor_s", "_least", "rttvar_s", "srtt_s", "window")
+    __slots__ = ("_floor_s", "_late", "_least", "_shrunk_at", "rttvar_s", "srtt_s", "window")
 
     def __init__(self, rto_min_s: float) -> None:
         self._floor_s = rto_min_s
@@ -28,7 +28,8 @@ class HopTimer:
         self.rttvar_s = 0.0
         self.window = _FIRST_FRAMES
         self._least: tuple[tuple[float, float], tuple[float, float]] | None = None  # (rtt, at): of both half lives
-        self._above_since: float | None = None
+        self._late = 0
+        self._shrunk_at = float("-inf")
 
     @property
     def rto_s(self) -> float:
@@ -45,13 +46,13 @@ class HopTimer:
             self.rttvar_s += (abs(self.srtt_s - rtt_s) - self.rttvar_s) / 4.0
             self.srtt_s += (rtt_s - self.srtt_s) / 8.0
         if rtt_s - self._least_s(rtt_s, now) <= _STANDING_DELAY_S:
-            self._above_since = None
+            self._late = 0
             if in_flight * 2 >= self.window:
                 self.window = min(self.window + 1.0, _MOST_FRAMES)
-        elif self._above_since is None:
-            self._above_since = now
-        elif now - self._above_since >= max(_PATIENCE_S, rtt_s):
-            self._above_since = now
+            return
+        self._late += 1
+        if self._late >= _LATE_IN_A_ROW and now - self._shrunk_at >= rtt_s:
+            self._shrunk_at = now
             self.window = max(self.window * 0.8, _LEAST_FRAMES)
 
     def _least_s(self, rtt_s: float, now: float) -> float:
