@@ -6,9 +6,12 @@ Never raises on a frame: what it does not understand ends the decoding, and the 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import NamedTuple
 
-from udp_mesh.core.wire import Dissection, dissect
+from netlab.capture import batman, flood, wnet
+from udp_mesh.core.envelope import decode as decode_envelope
+from udp_mesh.core.wire import DATA_FLAG_ENVELOPE, DataFragment, Dissection, dissect
 
 LINKTYPE_ETHERNET = 1
 LINKTYPE_RADIOTAP = 127
@@ -40,6 +43,21 @@ class TrafficHeader(NamedTuple):
     published_ns: int
 
 
+class LayerTwoMesh(NamedTuple):
+    """A mesh below IP. ``inner_offset`` of (frame, where its payload begins): where the whole Ethernet frame inside
+    begins, None if there is none."""
+
+    name: str
+    inner_offset: Callable[[bytes, int], int | None]
+
+
+MESHES = {
+    batman.ETHERTYPE: LayerTwoMesh("batman-adv", batman.inner_offset),
+    flood.ETHERTYPE: LayerTwoMesh("flood", lambda frame, _start: flood.inner_offset(frame)),
+    wnet.ETHERTYPE: LayerTwoMesh("wnet", wnet.inner_offset),
+}
+
+
 def ethertype(frame: bytes | memoryview) -> tuple[int, int]:
     """Return (EtherType behind any VLAN tags, offset of the payload); (0, length) of a frame that is too short."""
     offset = 12
@@ -49,6 +67,23 @@ def ethertype(frame: bytes | memoryview) -> tuple[int, int]:
             return kind, offset + 2
         offset += 4
     return 0, len(frame)
+
+
+def peel(frame: bytes) -> tuple[str, bytes]:
+    """Take the headers of layer-2 meshes off a frame.
+
+    Returns:
+        The outermost mesh's name, empty if there is none, and the Ethernet frame inside all of them, or what is left
+        where nothing whole is inside.
+    """
+    name = ""
+    while (mesh := MESHES.get(ethertype(frame)[0])) is not None:
+        name = name or mesh.name
+        inner = mesh.inner_offset(frame, ethertype(frame)[1])
+        if inner is None:
+            break
+        frame = frame[inner:]
+    return name, frame
 
 
 def udp_of(frame: bytes, linktype: int = LINKTYPE_ETHERNET) -> UdpPacket | None:
@@ -80,6 +115,16 @@ def traffic_of(payload: bytes | memoryview) -> TrafficHeader | None:
         return None
     magic, stream, seq, published_ns = _TRAFFIC.unpack_from(payload)
     return TrafficHeader(stream, seq, published_ns) if magic == TRAFFIC_MAGIC else None
+
+
+def traffic_in(fragment: DataFragment) -> TrafficHeader | None:
+    """As :func:`traffic_of`, of a message's first fragment, behind its envelope if it has one; None for any other."""
+    if fragment.topic is None:
+        return None
+    if not fragment.flags & DATA_FLAG_ENVELOPE:
+        return traffic_of(fragment.payload)
+    opened = decode_envelope(fragment.payload)
+    return traffic_of(opened[1]) if opened is not None else None
 
 
 def _dotted(address: bytes) -> str:

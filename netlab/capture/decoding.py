@@ -77,14 +77,18 @@ def _packet_decoder() -> Decoder:
 
 def _verdict_decoder() -> Decoder:
     message = _message_class(verdict_file())
+    verdicts = {member.value: member for member in Verdict}
 
     def decode(log_ns: int, data: bytes) -> VerdictRecord:
         record = cast(_Verdict, message.FromString(data))
+        verdict = verdicts.get(record.verdict)
+        if verdict is None:
+            raise ValueError(f"there is no verdict {record.verdict}")
         return VerdictRecord(
             log_ns,
             (record.sender_node, record.sender_interface),
             (record.receiver_node, record.receiver_interface),
-            Verdict(record.verdict),
+            verdict,
             record.departs_ns,
             record.length,
             record.crc32,

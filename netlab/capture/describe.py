@@ -8,6 +8,7 @@ from netlab.capture import batman, flood, wnet
 from netlab.capture.decoders import (
     LINKTYPE_ETHERNET,
     LINKTYPE_RADIOTAP,
+    MESHES,
     ethertype,
     mesh_of,
     traffic_of,
@@ -16,7 +17,6 @@ from netlab.capture.decoders import (
 from udp_mesh.core.wire import Dissection
 from wnet.io import dot11, radiotap
 
-_MESHES = (batman.ETHERTYPE, flood.ETHERTYPE, wnet.ETHERTYPE)
 _ETHERTYPES = {0x0806: "ARP", 0x86DD: "IPv6", 0x88CC: "LLDP"}
 _PROTOCOLS = {1: "ICMP", 2: "IGMP", 6: "TCP", 17: "UDP", 58: "ICMPv6"}
 _ICMP = {0: "echo reply", 3: "unreachable", 8: "echo request", 11: "time exceeded"}
@@ -76,7 +76,7 @@ def describe_mesh(mesh: Dissection) -> str:
 
 def _below_udp(frame: bytes) -> str:
     kind, start = ethertype(frame)
-    if kind in _MESHES:
+    if kind in MESHES:
         return _mesh(frame, kind, start)
     if kind == 0x0806 and len(frame) >= start + 28:
         return _arp(frame, start)
@@ -99,7 +99,7 @@ def _mesh(frame: bytes, kind: int, start: int) -> str:
         header, inner = flood.describe(frame), _from(frame, flood.inner_offset(frame))
     else:
         header, inner = wnet.describe(frame, start), wnet.inner_frame(frame, start)
-    if inner is None or ethertype(inner)[0] in _MESHES:  # nobody nests them; no endless descent
+    if inner is None or ethertype(inner)[0] in MESHES:  # nobody nests them; no endless descent
         return f"{header} {len(frame)} B"
     return f"{header}: {describe_frame(inner, LINKTYPE_ETHERNET)}"
 

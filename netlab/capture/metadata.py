@@ -72,6 +72,7 @@ def run_metadata(
         "scenario": scenario_text,
         "streams": json.dumps(listed),
         "ports": json.dumps(_ports(plan)),
+        "meshes": json.dumps(_meshes(plan)),
         "versions": json.dumps(_versions()),
         **(extra or {}),
     }
@@ -95,6 +96,20 @@ def _ports(plan: LabPlan) -> list[dict[str, object]]:
             "rate_bps": rates.get(port.index),
         }
         for port in plan.ports
+    ]
+
+
+def _meshes(plan: LabPlan) -> list[dict[str, object]]:
+    """The nodes' mesh interfaces, which have the addresses that their ports then do not have."""
+    return [
+        {
+            "node": mesh.node,
+            "interface": mesh.ifname,
+            "kind": mesh.kind.value,
+            "mac": mesh.mac.hex(":"),
+            "address": mesh.address,
+        }
+        for mesh in plan.meshes
     ]
 
 

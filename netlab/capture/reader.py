@@ -6,8 +6,8 @@ left out of the records.
 
 from __future__ import annotations
 
-import heapq
 import struct
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -93,6 +93,11 @@ class Capture:
         text = self.metadata.get("t0_ns", "")
         if text.isdigit():
             return int(text)
+        return self.start_ns
+
+    @property
+    def start_ns(self) -> int:
+        """Time of the first record."""
         return min((chunk.start_ns for chunk in self._scan.chunks), default=0)
 
     @property
@@ -150,20 +155,21 @@ class Capture:
 
     def _messages(self, numbers: set[int], start_ns: int, end_ns: int) -> Iterator[tuple[int, int, bytes]]:
         """Merge chunks, which overlap in time, into one order: (channel, time, data)."""
-        heap: list[tuple[int, int, int, bytes]] = []
+        pending: list[tuple[int, int, int, bytes]] = []
         serial = 0  # keeps the order of writing among equal times
         for place in sorted(self._scan.chunks, key=lambda place: place.start_ns):
             if place.end_ns < start_ns or place.start_ns >= end_ns or not _may_hold(place, numbers):
                 continue
-            while heap and heap[0][0] < place.start_ns:
-                log_ns, _, number, data = heapq.heappop(heap)
+            done = bisect_left(pending, (place.start_ns,))
+            for log_ns, _, number, data in pending[:done]:
                 yield number, log_ns, data
+            del pending[:done]
             for number, log_ns, data in self._chunk_messages(place):
                 if number in numbers and start_ns <= log_ns < end_ns:
-                    heapq.heappush(heap, (log_ns, serial, number, data))
+                    pending.append((log_ns, serial, number, data))
                     serial += 1
-        while heap:
-            log_ns, _, number, data = heapq.heappop(heap)
+            pending.sort()
+        for log_ns, _, number, data in pending:
             yield number, log_ns, data
 
     def _chunk_messages(self, place: scanning.ChunkPlace) -> Iterator[tuple[int, int, bytes]]:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from netlab.capture.decoders import mesh_of, udp_of
+from netlab.capture.decoders import mesh_of, peel, udp_of
 from netlab.capture.describe import describe_frame
 from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, LogLine, PacketRecord, Record, VerdictRecord
@@ -46,9 +46,10 @@ class View:
     def __post_init__(self) -> None:
         """Learn the addresses of the nodes."""
         try:
-            for port in json.loads(self.capture.metadata.get("ports", "[]")):
-                if port.get("address"):
-                    self._nodes[port["address"].split("/")[0]] = port["node"]
+            for key in ("ports", "meshes"):
+                for port in json.loads(self.capture.metadata.get(key, "[]")):
+                    if port.get("address"):
+                        self._nodes[port["address"].split("/")[0]] = port["node"]
         except (ValueError, AttributeError, KeyError, TypeError):
             self._nodes = {}  # another program's metadata: the peers of packets stay unknown
 
@@ -62,6 +63,12 @@ class View:
         for record in self.capture.records(kinds, nodes=nodes, start_ns=start_ns, end_ns=end_ns):
             if self._wanted(record):
                 yield record
+
+    def wants(self, record: Record) -> bool:
+        """Whether a record, however it was found, is among the chosen ones."""
+        at_s, chosen = (record.t_ns - self.capture.t0_ns) / 1e9, self.filter
+        in_time = (chosen.from_s is None or at_s >= chosen.from_s) and (chosen.to_s is None or at_s < chosen.to_s)
+        return in_time and self._wanted(record)
 
     def time(self, t_ns: int) -> str:
         """Scenario time in a column of its own."""
@@ -136,7 +143,7 @@ class View:
         chosen = self.filter
         if chosen.peer is None and not chosen.chooses_messages:
             return True
-        datagram = udp_of(record.frame, record.linktype)
+        datagram = udp_of(peel(record.frame)[1], record.linktype)
         if datagram is None:
             return False
         ends = {self._nodes.get(datagram.source), self._nodes.get(datagram.destination)}

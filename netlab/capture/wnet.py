@@ -21,15 +21,21 @@ _NAMES = {
 _CARRIERS = frozenset({wire.UNICAST, wire.MULTICAST, wire.ROUTED, wire.FLOOD})
 
 
-def inner_frame(frame: bytes, start: int) -> bytes | None:
-    """Return the whole Ethernet frame inside; None if there is none, or several.
+def inner_offset(frame: bytes, start: int) -> int | None:
+    """Where the whole Ethernet frame inside begins; None if there is none, or several.
 
     Args:
         frame: A frame of type ``ETHERTYPE``.
         start: Where its payload begins.
     """
     data = wire.decode(frame[start:]) if start < len(frame) and frame[start] in _CARRIERS else Drop.OTHER_TYPE
-    return None if isinstance(data, Drop) else wire.inner_of(data.tail)
+    return None if isinstance(data, Drop) else frame.index(data.tail, start) + wire.ORIGIN_BYTES
+
+
+def inner_frame(frame: bytes, start: int) -> bytes | None:
+    """The frame that begins there, up to the end of this one."""
+    offset = inner_offset(frame, start)
+    return None if offset is None else frame[offset:]
 
 
 def describe(frame: bytes, start: int) -> str:

@@ -1,21 +1,21 @@
-"""``netlab inspect F.mcap``: look into a capture, as text or as JSON."""
+"""``netlab inspect F.mcap``: look into a capture, as text, JSON or CSV."""
 
 from __future__ import annotations
 
-import json
-from itertools import islice
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
 
-from netlab.capture.reader import Capture
 from netlab.capture.records import Kind
-from netlab.capture.view import Filter, View
-from netlab.traces.explain import milliseconds
-from netlab.traces.load import load_trace
-from netlab.traces.messages import MessageLife, message_lives
-from netlab.traces.summary import summary
-from netlab.traces.tables import columns, summary_text
+from netlab.capture.view import Filter
+from netlab.cli.quantities import SECONDS
+from netlab.inspect import questions
+from netlab.inspect.choose import HELP as MESSAGE_HELP
+from netlab.inspect.overview import overview
+from netlab.inspect.questions import Asked
+from netlab.inspect.table import Format
 
 _KINDS = {
     "packets": {Kind.PACKET},
@@ -30,19 +30,38 @@ _KINDS = {
 
 @click.command("inspect")
 @click.argument("file", type=click.Path(path_type=Path))
+@click.option("--why", metavar="MESSAGE", help=f"The story of one message, and why it was late. {MESSAGE_HELP}.")
+@click.option("--conversations", is_flag=True, help="Who talked to whom: frames and bytes by pair and protocol.")
+@click.option("--drops", is_flag=True, help="What was refused, dropped and lost, by place and reason.")
+@click.option("--queues-at", type=SECONDS, metavar="TIME", help="What the queues held then: 12.5s, or 12.5.")
+@click.option("--routes", is_flag=True, help="Which relays carried the data, and when.")
 @click.option("--kind", type=click.Choice([*_KINDS, "messages"]), help="List these records instead of the summary.")
+@click.option("--display", metavar="EXPR", help="List the packets that match this Wireshark display filter (tshark).")
 @click.option("--node", help="Only what this node saw, sent or received.")
 @click.option("--peer", help="Only what went between the node and this other one.")
 @click.option("--topic", help="Only messages of this topic.")
 @click.option("--priority", type=int, help="Only messages of this priority.")
-@click.option("--from-s", type=float, help="From this scenario time on, in seconds.")
-@click.option("--to-s", type=float, help="Up to before this scenario time.")
-@click.option("--summary", "summary_only", is_flag=True, help="The summary of the file (the default without --kind).")
-@click.option("--json", "as_json", is_flag=True, help="The summary as one object, records as one object per line.")
-@click.option("--limit", type=click.IntRange(min=1), help="At most so many records.")
+@click.option("--from", "--from-s", "from_s", type=SECONDS, metavar="TIME", help="From this scenario time on: 4.5s.")
+@click.option("--to", "--to-s", "to_s", type=SECONDS, metavar="TIME", help="Up to before this scenario time.")
+@click.option("--summary", "summary_only", is_flag=True, help="The summary of the file (the default).")
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice([form.value for form in Format]),
+    default=Format.TEXT.value,
+    help="text, json or csv.",
+)
+@click.option("--json", "as_json", is_flag=True, help="As --format json: one object, or one per record and line.")
+@click.option("--limit", type=click.IntRange(min=1), help="At most so many records or rows.")
 def inspect(
     file: Path,
+    why: str | None,
+    conversations: bool,
+    drops: bool,
+    queues_at: float | None,
+    routes: bool,
     kind: str | None,
+    display: str | None,
     node: str | None,
     peer: str | None,
     topic: str | None,
@@ -50,109 +69,58 @@ def inspect(
     from_s: float | None,
     to_s: float | None,
     summary_only: bool,
+    form: str,
     as_json: bool,
     limit: int | None,
 ) -> None:
-    """Show what the capture FILE holds: a summary, or its records in the order of time.
+    """Show what the capture FILE holds: a summary, the answer to one question, or its records in the order of time.
 
     Times are scenario seconds: 0 is when every process was ready.
+
+    \b
+      netlab inspect run.mcap --why slowest --topic telemetry
+      netlab inspect run.mcap --why 'telemetry#20'
+      netlab inspect run.mcap --queues-at 12.5s
+      netlab inspect run.mcap --display 'frame.len > 1000' --node robot1
     """
     chosen = Filter(node, peer, topic, priority, from_s, to_s)
-    if kind is None and not summary_only and chosen != Filter():
-        kind = "messages" if chosen.chooses_messages else "packets"
-    if kind is None or summary_only:
-        _print_summary(file, as_json=as_json)
-    elif kind == "messages":
-        _print_messages(file, chosen, as_json=as_json, limit=limit)
-    else:
-        _print_records(file, kind, chosen, as_json=as_json, limit=limit)
+    as_form = Format.JSON if as_json else Format(form)
+    asked = Asked(file, chosen, as_form, limit, _width(), note=lambda text: click.echo(f"note: {text}", err=True))
+    answer: dict[str, Callable[[], Iterator[str]]] = {}
+    if why is not None:
+        answer["--why"] = lambda: questions.why(asked, why)
+    if conversations:
+        answer["--conversations"] = lambda: questions.conversations(asked)
+    if drops:
+        answer["--drops"] = lambda: questions.drops(asked)
+    if queues_at is not None:
+        answer["--queues-at"] = lambda: questions.queues_at(asked, queues_at)
+    if routes:
+        answer["--routes"] = lambda: questions.routes(asked)
+    if display is not None and kind in (None, "packets"):
+        answer["--display"] = lambda: questions.display(asked, display)
+    elif display is not None:
+        raise click.UsageError(f"--display chooses packets; it does not go with --kind {kind}")
+    elif kind is not None:
+        answer["--kind"] = lambda: _list(asked, kind)
+    if summary_only:
+        answer["--summary"] = lambda: overview(asked)
+    if len(answer) > 1:
+        raise click.UsageError(f"one question at a time: {' or '.join(answer)}")
+    for line in next(iter(answer.values()), lambda: _without_question(asked))():
+        click.echo(line)
 
 
-def _print_summary(file: Path, *, as_json: bool) -> None:
-    with Capture.open(file) as capture:
-        metadata, counts = capture.metadata, capture.counts()
-        notes, first_ns, end_ns = capture.notes, capture.t0_ns, capture.end_ns
-    trace = load_trace(file)
-    if as_json:
-        head = {"capture": str(file), "metadata": metadata, "messages": dict(sorted(counts.items())), "notes": notes}
-        click.echo(json.dumps(head | summary(trace)))
-        return
-    _print_notes(notes)
-    words = {key: metadata.get(key) for key in ("engine", "clock", "seed", "duration_s")}
-    told = "  ".join(f"{key} {value}" for key, value in words.items() if value)
-    click.echo(f"{metadata.get('name', file.name)}  {told}".rstrip())
-    click.echo(f"{file}: {file.stat().st_size / 1e6:.1f} MB, {sum(counts.values())} messages, ", nl=False)
-    click.echo(f"up to {(end_ns - first_ns) / 1e9:.3f} s" if counts else "empty")
-    if counts:
-        click.echo("\ntopics")
-        for line in columns([[name, str(count)] for name, count in sorted(counts.items())]):
-            click.echo(f"  {line}")
-    if text := summary_text(trace):
-        click.echo(f"\n{text}")
+def _without_question(asked: Asked) -> Iterator[str]:
+    if asked.chosen == Filter():
+        return overview(asked)
+    return _list(asked, "messages" if asked.chosen.chooses_messages else "packets")
 
 
-def _print_records(file: Path, kind: str, chosen: Filter, *, as_json: bool, limit: int | None) -> None:
-    with Capture.open(file) as capture:
-        view = View(capture, chosen)
-        for record in islice(view.records(_KINDS[kind]), limit):
-            click.echo(json.dumps(view.json(record)) if as_json else view.text(record))
-        _print_notes(capture.notes)
+def _list(asked: Asked, kind: str) -> Iterator[str]:
+    return questions.messages(asked) if kind == "messages" else questions.records(asked, _KINDS[kind])
 
 
-def _print_messages(file: Path, chosen: Filter, *, as_json: bool, limit: int | None) -> None:
-    trace = load_trace(file)
-    lives = (life for life in message_lives(trace) if _chosen(life, chosen, trace.seconds(life.published.t_ns)))
-    for life in islice(lives, limit):
-        at_s = trace.seconds(life.published.t_ns)
-        click.echo(json.dumps(_life_json(life, at_s)) if as_json else _life_text(life, at_s))
-    _print_notes(trace.notes)
-
-
-def _chosen(life: MessageLife, chosen: Filter, at_s: float) -> bool:
-    ends = {life.stream.source, life.stream.destination}
-    return (
-        all(name is None or name in ends for name in (chosen.node, chosen.peer))
-        and chosen.topic in (None, life.stream.topic)
-        and chosen.priority in (None, life.stream.priority)
-        and (chosen.from_s is None or at_s >= chosen.from_s)
-        and (chosen.to_s is None or at_s < chosen.to_s)
-    )
-
-
-def _life_text(life: MessageLife, at_s: float) -> str:
-    if not life.published.accepted:
-        fate = f"refused ({life.published.reason})"
-    elif life.delivery is None:
-        fate = "not delivered"
-    else:
-        fate = f"delivered after {milliseconds(life.delivery.latency_s)}"
-        fate += f", {life.receipts} times" if life.receipts > 1 else ""
-    again = f" +{life.retransmissions} again" if life.retransmissions else ""
-    name = f"{life.stream} #{life.published.seq}"
-    sent = f"{life.fragments} fragments{again}"
-    return f"{at_s:12.6f}  p{life.stream.priority:<3} {name:<36} {life.published.size_bytes:>8} B  {sent:<16} {fate}"
-
-
-def _life_json(life: MessageLife, at_s: float) -> dict[str, object]:
-    return {
-        "t_s": at_s,
-        "kind": "message",
-        "source": life.stream.source,
-        "destination": life.stream.destination,
-        "topic": life.stream.topic,
-        "priority": life.stream.priority,
-        "seq": life.published.seq,
-        "size_bytes": life.published.size_bytes,
-        "accepted": life.published.accepted,
-        "reason": life.published.reason,
-        "latency_s": life.delivery.latency_s if life.delivery else None,
-        "receipts": life.receipts,
-        "fragments": life.fragments,
-        "retransmissions": life.retransmissions,
-        "copies": life.copies,
-    }
-
-
-def _print_notes(notes: list[str]) -> None:
-    for note in notes:
-        click.echo(f"note: {note}", err=True)
+def _width() -> int:
+    """Columns of the terminal; 100 where there is none."""
+    return max(60, min(shutil.get_terminal_size((100, 24)).columns, 120))

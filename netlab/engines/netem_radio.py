@@ -1,7 +1,8 @@
 """Radios with a phy on the netem engine: every pair by itself, since no qdisc shares airtime among interfaces.
 
 Strengths become impairments of pairs (:mod:`netlab.medium.pair_radio`), rounded to a decibel, and only pairs that have
-changed are told to the kernel, at every ``_EVERY``-th matrix: a tick of 50 ms would keep it busy with nothing else.
+changed are told to the kernel, at every second matrix or, of many pairs, at every fourth: a tick of 50 ms would keep it
+busy with nothing else.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _log = logging.getLogger(__name__)
-_EVERY = 4
+_EVERY, _EVERY_OF_MANY = 2, 4
+_MANY_PAIRS = 500  # in all segments
 WARNING = "netem cannot share airtime among radios: each pair has its own rate and losses; engine: air shares it"
 
 
@@ -58,6 +60,7 @@ class NetemRadios:
         self._rssi_dbm: dict[Pair, float] = {}
         self._told = {pair: _heard(self._channel_of[pair[0]], words) for pair, words in self._words.items()}
         self._matrices = dict.fromkeys(self._segments, 0)
+        self._every = _EVERY if len(self._words) <= _MANY_PAIRS else _EVERY_OF_MANY
         _log.warning("%s", WARNING)
 
     @property
@@ -78,7 +81,7 @@ class NetemRadios:
 
     def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
         """Let a segment's strengths take effect, at every few matrices."""
-        due = self._matrices[segment] % _EVERY == 0
+        due = self._matrices[segment] % self._every == 0
         self._matrices[segment] += 1
         if not due:
             return

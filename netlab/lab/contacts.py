@@ -9,10 +9,12 @@ down in any case.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from netlab.engines.base import LabPlan
+from netlab.engines.base import LabPlan, Pair
 from netlab.lab.links import Links
 from netlab.lab.recording import Recording
 from netlab.medium.segments import Segment, SegmentKind
@@ -56,46 +58,62 @@ class Contacts:
 
 
 class ContactWatch:
-    """Records what the contacts of one segment's radios mean for the nodes that have them."""
+    """Records what the contacts of all radios whose strengths change mean for the nodes that have them."""
 
-    def __init__(self, scenario: Scenario, plan: LabPlan, segment: Segment, links: Links, recording: Recording) -> None:
+    def __init__(
+        self, scenario: Scenario, plan: LabPlan, segments: Sequence[Segment], links: Links, recording: Recording
+    ) -> None:
         self._scenario = scenario
         self._links = links
         self._recording = recording
-        self._ports = segment.ports
-        self._nodes = [plan.ports[port].node for port in segment.ports]
+        self._ports = [segment.ports for segment in segments]
+        self._contacts = [Contacts(len(segment.ports)) for segment in segments]
         self._wires = [other.ports for other in plan.segments if other.kind is SegmentKind.WIRE]
         self._names = [port.node for port in plan.ports]
-        self._contacts = Contacts(len(segment.ports))
         ends = (tuple(sorted((s.source, s.destination))) for s in scenario.streams() if scenario.meshes[s.source])
         self._meshed_ends = sorted({(a, b) for a, b in ends if same_mesh(scenario.meshes, a, b)})
 
-    def update(self, heard: Heard, at_s: float) -> None:
-        """Take note of who hears whom ``[sender, receiver]`` at a scenario time; record what has changed by that."""
-        before = self._contacts.made
-        changed = self._contacts.update(heard, at_s)
+    def update(self, heard: Sequence[Heard], at_s: float) -> None:
+        """Take note of who hears whom ``[sender, receiver]``, segment by segment; record what has changed by that."""
+        before = [contacts.made for contacts in self._contacts]
+        changed = [
+            (ports[one], ports[other], bool(contacts.made[one, other]), since_s)
+            for ports, contacts, matrix in zip(self._ports, self._contacts, heard, strict=True)
+            for one, other, since_s in contacts.update(matrix, at_s)
+        ]
         if not changed:
             return
-        joined = [self._joined(made) for made in (before, self._contacts.made)] if self._meshed_ends else [set(), set()]
+        joined = [self._joined(made) for made in (before, [contacts.made for contacts in self._contacts])]
         meant: dict[str, object] = {"reroutes": sorted(joined[0] & joined[1]), "rejoins": sorted(joined[1] - joined[0])}
-        for one, other, since_s in changed:
-            made = bool(self._contacts.made[one, other])
-            a, b = self._nodes[one], self._nodes[other]
+        for one, other, made, since_s in changed:
+            a, b = self._names[one], self._names[other]
             key = "rejoins" if made else "reroutes"
-            plain = made and self._scenario.meshes[a] is None and self._is_free(self._ports[one], self._ports[other])
+            plain = made and self._scenario.meshes[a] is None and self._is_free(one, other)
             marks = {"restores": [a, b] if plain else None, key: meant.pop(key, [])}
             label = f"{a} and {b} {'hear' if made else 'lose'} each other"
             self._recording.timeline(Kind.RADIO, label, at_s=since_s, ago_s=at_s - since_s, **marks)
 
     def is_made(self, a: str, b: str) -> bool:
         """Whether two nodes are in contact by these radios."""
-        places = [[place for place, node in enumerate(self._nodes) if node == name] for name in (a, b)]
-        return bool(self._contacts.made[np.ix_(*places)].any())
+        return any({self._names[one], self._names[other]} == {a, b} for one, other in self.pairs())
 
-    def _joined(self, made: Heard) -> set[tuple[str, str]]:
+    def pairs(self) -> frozenset[Pair]:
+        """The pairs of ports that are in contact, both ways."""
+        hops = self._hops([contacts.made for contacts in self._contacts])
+        return frozenset(pair for one, other in hops for pair in ((one, other), (other, one)))
+
+    def _hops(self, made: Sequence[Heard]) -> list[Pair]:
+        return [
+            (ports[one], ports[other])
+            for ports, matrix in zip(self._ports, made, strict=True)
+            for one, other in np.argwhere(np.triu(matrix, 1)).tolist()
+        ]
+
+    def _joined(self, made: Sequence[Heard]) -> set[tuple[str, str]]:
         """The ends of streams between which a path of the mesh leads."""
-        hops = [(self._ports[one], self._ports[other]) for one, other in np.argwhere(np.triu(made, 1))]
-        hops += [(ports[0], ports[1]) for ports in self._wires]
+        if not self._meshed_ends:
+            return set()
+        hops = [*self._hops(made), *((ports[0], ports[1]) for ports in self._wires)]
         named = ((self._names[a], self._names[b]) for a, b in hops if self._is_free(a, b))
         parts = components(self._scenario.nodes, (ab for ab in named if same_mesh(self._scenario.meshes, *ab)))
         return {(a, b) for a, b in self._meshed_ends if parts[a] == parts[b]}

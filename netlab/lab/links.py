@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
 _T = TypeVar("_T")
 
 
@@ -42,6 +38,7 @@ class Links:
         self._impairments: dict[Pair, Impairment | None] = {
             pair: segment.pairs.get(pair) for pair, segment in self._segment_of.items()
         }
+        self._out_of_range = {pair for pair, impairment in self._impairments.items() if impairment is None}
         self.signals = Signals(plan)
         self._heard: set[Pair] = set()  # as last described
         self._out: dict[str, set[Pair]] = {}  # who holds which pairs down
@@ -62,6 +59,8 @@ class Links:
                 raise LabError(problem)
         self._engine.set_pairs(changes)
         self._impairments.update(changes)
+        self._out_of_range |= {pair for pair, impairment in changes.items() if impairment is None}
+        self._out_of_range -= {pair for pair, impairment in changes.items() if impairment is not None}
 
     def set_rssi(self, segment: str, rssi_dbm: NDArray[np.float64]) -> None:
         """Say how strongly the ports of a segment hear each other; see ``Engine.set_rssi``."""
@@ -134,6 +133,15 @@ class Links:
                 }
             )
         return rows
+
+    def heard(self, segment: Segment) -> NDArray[np.bool_]:
+        """Who hears whom of a segment with strengths, ``[sender, receiver]`` in the order of its ports."""
+        heard = self.signals.heard(segment)
+        place = {port: place for place, port in enumerate(segment.ports)}
+        for sender, receiver in self._out_of_range:
+            if sender in place and receiver in place:
+                heard[place[sender], place[receiver]] = False
+        return heard
 
     def is_held(self, pair: Pair) -> bool:
         """Whether somebody holds the pair, or a cable at its ends, down."""

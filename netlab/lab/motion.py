@@ -22,7 +22,7 @@ from netlab.timeline import carried_pairs
 from netlab.world.motion import MotionError, Move
 
 if TYPE_CHECKING:
-    from netlab.engines.base import LabPlan
+    from netlab.engines.base import LabPlan, Pair
     from netlab.lab.recording import Recording
 
 TICK_S = 0.05
@@ -40,6 +40,8 @@ class Motion:
         self.on_tick: Callable[[float], None] = lambda at_s: None
         #: Whether the radios of two nodes are in contact, as far as that goes by places.
         self.in_contact: Callable[[str, str], bool] = lambda _a, _b: True
+        #: The pairs of radio ports in contact, where that changes with places or by a measured file.
+        self.contacts: Callable[[], frozenset[Pair]] | None = None
         self._moves_at_all = any(len(set(track.points_m)) > 1 or track.active_from_s > 0 for track in self.tracks)
         #: Whether something else than places changes with time.
         self.always_ticks = False

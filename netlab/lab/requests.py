@@ -114,6 +114,8 @@ class Requests:
         a, b = request["between"]
         pairs, _kind = self._lab.links.between(a, b, one_way=bool(request.get("one_way")))
         words = parse_words(a, b, request["words"])
+        if words.rssi_dbm is not None and any(self._lab.links.signals.rssi_dbm(pair) is not None for pair in pairs):
+            raise LabError(f"link {a} {b}: rssi follows places, or a measured file, here; move a node, or set loss")
         changes = {pair: impairment(words, self._lab.links.impairment(pair) or PERFECT) for pair in pairs}
         label = f"link {a}-{b}: " + ", ".join(f"{key}={value}" for key, value in request["words"].items())
         await self._lab.run.apply(SetPairs(changes), Kind.LINK, label, at_s=self._lab.run.t_s)

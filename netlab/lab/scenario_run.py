@@ -14,6 +14,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from enum import StrEnum
+from itertools import groupby
 from typing import Any
 
 from netlab.engines.base import LabPlan, Pair
@@ -29,6 +30,7 @@ from netlab.timeline import (
     DeployNode,
     Entry,
     KillProcess,
+    MeshRoutes,
     MoveNode,
     SetCarrier,
     SetOutage,
@@ -74,6 +76,8 @@ class ScenarioRun:
         self.has_routes: Callable[[], bool] = lambda: True
         #: Whether two nodes can hear each other when nothing holds them down.
         self.in_contact: Callable[[str, str], bool] = lambda _a, _b: True
+        #: The pairs of radio ports in contact, where only that tells who is in range.
+        self.contacts: Callable[[], frozenset[Pair]] | None = None
         #: The processes of a node that has just been dropped.
         self.specs_of: Callable[[str], list[ProcessSpec]] = lambda _node: []
         self.on_start: Callable[[int], None] = lambda _t0_ns: None
@@ -110,17 +114,25 @@ class ScenarioRun:
         self._recording.timeline("start", "t = 0", at_s=0.0)
         self._enter(Phase.RUNNING)
         self._started.set()
-        for entry in compile_timeline(self._scenario, self._plan):
-            await self._sleep_until(entry.at_s)
-            try:
-                await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, **_joins(entry))
-            except NetlabError as error:
-                self.problems.append(f"{entry.label}: {error}")
+        routes = MeshRoutes(self._scenario, self._plan) if self.contacts is not None and self._plan.meshes else None
+        for at_s, moment in groupby(compile_timeline(self._scenario, self._plan), key=lambda entry: entry.at_s):
+            await self._sleep_until(at_s)
+            entries = list(moment)
+            if routes is not None and self.contacts is not None:
+                entries = routes.mark(entries, self.contacts())
+            for entry in entries:
+                await self._follow(entry)
         await self._sleep_until(self._scenario.duration_s)
         self._recording.timeline("end", "the scenario's duration is over", at_s=self._scenario.duration_s)
         self._enter(Phase.DRAINING)
         await self._sleep_until(self._scenario.duration_s + DRAIN_S)
         await self._stop_traffic()
+
+    async def _follow(self, entry: Entry) -> None:
+        try:
+            await self.apply(entry.action, entry.kind, entry.label, at_s=entry.at_s, **_joins(entry))
+        except NetlabError as error:
+            self.problems.append(f"{entry.label}: {error}")
 
     async def wait_for_phase(self, phase: Phase) -> None:
         """Return when that phase has been reached."""

@@ -113,14 +113,15 @@ class Supervisor:
         self.run.on_start = self.motion.begin
         self.motion.on_failure = self._fail
         self.run.in_contact = lambda a, b: self.motion.in_contact(a, b)
+        self.run.contacts = self.motion.contacts
         specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
         await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
         self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
 
     def _plan_at_start(self) -> LabPlan:
-        """Put the radios that go by positions on the air; returns the plan of who hears whom then."""
+        """Put the radios whose strengths change on the air; returns the plan of who hears whom then."""
         radio = self._scenario.radio
-        if radio is None or radio.propagation.physics is None:
+        if radio is None or not radio.propagation.changes_with_time:
             return self.plan
         from netlab.lab.waves import let_radios_follow  # NumPy, which all other labs do without
 

@@ -1,12 +1,13 @@
-"""How strongly the radios of a running lab hear each other: the link budget of who is where, handed to the engine.
+"""How strongly the radios of a running lab hear each other as time goes on, handed to the engine tick by tick.
 
-Only for radios whose propagation model goes by positions; everybody else's strength is what the scenario says.
+The link budget of who is where, for radios whose propagation model goes by positions; what a file says, for those of
+measured tables (:mod:`netlab.lab.measured`). Everybody else's strength is what the scenario says.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from netlab.engines.base import LabPlan
@@ -14,6 +15,7 @@ from netlab.engines.plan import RADIO_PREFIX
 from netlab.errors import LabError
 from netlab.lab.contacts import ContactWatch
 from netlab.lab.links import Links
+from netlab.lab.measured import MeasuredWaves, WordsBetweenRows
 from netlab.lab.motion import Motion
 from netlab.lab.recording import Recording
 from netlab.medium.segments import Segment
@@ -25,6 +27,9 @@ from netlab.world.world import World
 
 #: The state of all pairs is recorded this often, in large teams that hear each other less often.
 _RECORD_EVERY_S, _MOST_ROWS_PER_S = 0.5, 1000
+
+
+Update = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,43 +59,68 @@ class Waves:
             self._links.set_rssi(channel.segment, channel.budget.rssi_dbm(moment, geometry, at_s))
 
 
+class _Follower:
+    """Lets a scenario time take effect on the radios, and records what has become of them."""
+
+    def __init__(
+        self, updates: Sequence[Update], watch: ContactWatch | None, plan: LabPlan, links: Links, recording: Recording
+    ) -> None:
+        self._updates = updates
+        self._watch = watch
+        self._channels = [segment for segment in plan.segments if segment.channel is not None]
+        self._links = links
+        self._recording = recording
+        self._due_s = 0.0
+
+    def update(self, at_s: float) -> None:
+        for update in self._updates:
+            update(at_s)
+        if self._watch is not None:
+            self._watch.update([self._links.heard(segment) for segment in self._channels], at_s)
+
+    def tick(self, at_s: float) -> None:
+        with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
+            self.update(at_s)
+        if at_s >= self._due_s:
+            rows = self._links.describe(heard_only=self._watch is not None)
+            self._recording.links(rows)
+            self._due_s = at_s + max(_RECORD_EVERY_S, len(rows) / _MOST_ROWS_PER_S)
+
+
 def let_radios_follow(scenario: Scenario, plan: LabPlan, links: Links, motion: Motion, recording: Recording) -> LabPlan:
-    """Set the strengths of all radios that go by positions, now and at every tick of the motion, and record them.
+    """Set what radios hear of one another, now and at every tick of the motion, and record it.
 
     Returns:
         The plan with only those pairs that hear each other at the start: who can be discovered.
     """
     assert scenario.radio is not None
-    physics = scenario.radio.propagation.physics
-    assert physics is not None
-    waves = Waves(scenario, plan, links, physics)
-    watches = [
-        (segment, ContactWatch(scenario, plan, segment, links, recording))
-        for segment in plan.segments
-        if segment.channel is not None
-    ]
-    due_s = 0.0
-
-    def on_tick(at_s: float) -> None:
-        nonlocal due_s
-        with contextlib.suppress(LabError):  # the engine is gone, which the supervisor says itself
-            waves.update(at_s, motion.tracks)
-        for segment, watch in watches:
-            watch.update(links.signals.heard(segment), at_s)
-        if at_s >= due_s:
-            rows = links.describe(heard_only=True)
-            recording.links(rows)
-            due_s = at_s + max(_RECORD_EVERY_S, len(rows) / _MOST_ROWS_PER_S)
-
-    waves.update(0.0, motion.tracks)
-    for segment, watch in watches:
-        watch.update(links.signals.heard(segment), 0.0)
-    motion.in_contact = lambda a, b: (
-        scenario.joined(a, b) != ("radio",) or any(watch.is_made(a, b) for _, watch in watches)
-    )
-    motion.on_tick = on_tick
-    motion.always_ticks = physics.fading and physics.drift_hz > 0
+    propagation = scenario.radio.propagation
+    watch = None
+    if propagation.physics is not None or propagation.strengths_change:
+        watch = ContactWatch(scenario, plan, [s for s in plan.segments if s.channel is not None], links, recording)
+    follower = _Follower(list(_updates(scenario, plan, links, motion)), watch, plan, links, recording)
+    follower.update(0.0)
+    motion.on_tick = follower.tick
+    physics = propagation.physics
+    motion.always_ticks = physics is None or (physics.fading and physics.drift_hz > 0)
+    if watch is None:
+        return plan
+    motion.contacts = watch.pairs
+    motion.in_contact = lambda a, b: scenario.joined(a, b) != ("radio",) or watch.is_made(a, b)
     return _heard_plan(plan, links)
+
+
+def _updates(scenario: Scenario, plan: LabPlan, links: Links, motion: Motion) -> Iterator[Update]:
+    """What changes as time goes on: strengths by positions, or strengths and words by a measured file."""
+    assert scenario.radio is not None
+    propagation = scenario.radio.propagation
+    if propagation.physics is not None:
+        waves = Waves(scenario, plan, links, propagation.physics)
+        yield lambda at_s: waves.update(at_s, motion.tracks)
+    if propagation.strengths_change:
+        yield MeasuredWaves(scenario, plan, links).update
+    if propagation.interpolate:
+        yield WordsBetweenRows(scenario, plan, links).update
 
 
 def _heard_plan(plan: LabPlan, links: Links) -> LabPlan:

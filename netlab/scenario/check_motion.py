@@ -94,8 +94,19 @@ def _track_problem(plan: Choreography, scenario: Scenario, name: str) -> Problem
     except MotionError as error:
         if error.node != name:  # told where it belongs
             return None
-        return _written(error, scenario), str(error)
+        return _written(error, scenario), f"{_sample(error, scenario)}{error}"
     return None
+
+
+def _sample(error: MotionError, scenario: Scenario) -> str:
+    """File and time of the sample that a problem is about, if it is about one."""
+    if error.part != "sample" or error.index is None:
+        return ""
+    own, common = scenario.nodes[error.node].motion, scenario.motion
+    if own is not None:
+        return f"{own.file}: at {own.track.times_s[error.index]:g} s: "
+    assert common is not None
+    return f"{common.file}: at {common.tracks[error.node].times_s[error.index]:g} s: "
 
 
 def _written(error: MotionError, scenario: Scenario) -> Path:
@@ -105,7 +116,7 @@ def _written(error: MotionError, scenario: Scenario) -> Path:
         events = [index for index, event in enumerate(scenario.events) if event.move is not None]
         return ("events", events[error.index or 0], "move", "to")
     if error.part == "sample":
-        return ("motion", "file")
+        return ("motion", "file") if node.motion is None else ("nodes", name, "motion", "file")
     if error.part == "waypoint":
         skipped = 0 if "position" in node.model_fields_set else 1
         return ("nodes", name, "waypoints", (error.index or 0) + skipped)

@@ -8,8 +8,8 @@ from enum import Enum
 from netlab.scenario.document import Path
 from netlab.scenario.model import Scenario
 from netlab.scenario.problems import Problem
-from netlab.scenario.radio import HWSIM_CHANNELS_MHZ
-from netlab.scenario.radio_physics import RadioSettings, wrong_rate
+from netlab.scenario.radio import HWSIM_CHANNELS_MHZ, Radio
+from netlab.scenario.radio_physics import RadioEnds, RadioSettings, wrong_rate
 from netlab.scenario.words import Words
 
 #: 802.11 has no such thing between two radios: a damaged frame fails its checksum and is lost, a second copy is
@@ -46,6 +46,16 @@ def check_radio(scenario: Scenario) -> Iterator[Problem]:
         if change is not None and all(name in scenario.nodes for name in change.ends):
             over = change.over or next(iter(scenario.joined(*change.ends)), None)
             yield from _complaints(change, ("events", index, "link"), kind if over == "radio" else _Kind.PLAIN)
+            if over == "radio" and change.rssi_dbm is not None and (source := _strengths(scenario)):
+                yield ("events", index, "link", "rssi"), f"rssi is what {source} says; remove it"
+
+
+def _strengths(scenario: Scenario) -> str | None:
+    """What says all along how strongly radios hear each other, if anything does."""
+    propagation = None if scenario.radio is None else scenario.radio.propagation
+    if propagation is None or (propagation.physics is None and not propagation.strengths_change):
+        return None
+    return propagation.file.name if propagation.file is not None else f"propagation model {propagation.model}"
 
 
 def _waves(scenario: Scenario) -> Iterator[Problem]:
@@ -57,12 +67,24 @@ def _waves(scenario: Scenario) -> Iterator[Problem]:
     if radio is not None and physics is not None and physics.needs_terrain and scenario.terrain is None:
         what = f"model {radio.propagation.model} is about tunnels, and there are none"
         yield ("radio", "propagation", "model"), f"{what}; add terrain, or use log_distance"
+    if radio is not None and physics is not None and not physics.knows_materials and scenario.terrain is not None:
+        for index, tunnel in enumerate(scenario.terrain.tunnels):
+            if tunnel.material is not None:
+                what = f"propagation model {radio.propagation.model} does not know what tunnels are made of"
+                yield ("terrain", "tunnels", index, "material"), f"{what}; use model: tunnel, or remove material"
     for name, node in scenario.nodes.items():
-        if isinstance(node.radio, tuple) and physics is None:
+        if isinstance(node.radio, tuple) and physics is None and not _only_power(radio, node.radio):
             what = "a radio of its own means nothing here" if radio is not None else "there is no radio"
             yield ("nodes", name, "radio"), f"{what}; give radio: a propagation model that goes by positions"
     if physics is not None:
         yield from _channels(scenario)
+
+
+def _only_power(radio: Radio | None, own: tuple[RadioEnds, ...]) -> bool:
+    """Whether a node's radio differs by its power alone, and the table's path losses give that a meaning."""
+    if radio is None or not radio.propagation.has_path_losses:
+        return False
+    return len(own) == 1 and own[0].model_fields_set <= {"tx_power_dbm"}
 
 
 def _channels(scenario: Scenario) -> Iterator[Problem]:

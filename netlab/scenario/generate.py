@@ -106,7 +106,7 @@ def _nodes(shape: Generate, template: dict[str, Any], explicit: dict[str, Any]) 
         own = explicit.get(name) or {}
         if isinstance(own, dict):
             own = template | own
-            placed = any(key in own for key in ("waypoints", "follow", "carried_by"))
+            placed = any(key in own for key in ("waypoints", "follow", "carried_by", "motion"))
             own = own if placed else {"position": shape.position(index)} | own
         nodes[name] = own
     return nodes | {name: body for name, body in explicit.items() if name not in nodes}

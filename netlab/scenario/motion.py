@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, WithJsonSchema, model_validator
 
 from netlab.scenario.base import NodeName, Problems, StrictModel
 from netlab.scenario.words import read_file
 from netlab.world.choreography import Choreography
-from netlab.world.imports import TraceFormat, TraceProblems, read_motion
+from netlab.world.imports import ONLY_NODE, TraceFormat, TraceProblems, read_motion
 from netlab.world.motion import NEVER_S, Carried, Follow, Motion, Move, Sampled, Walk, Waypoint
 from netlab.world.tracks import Track
 
@@ -26,28 +27,44 @@ _FORMATS = {
 }
 
 
-class MotionFile(StrictModel):
-    """Recorded or generated motion. ``nodes`` are the names of the file's nodes 0, 1, ... where it only counts them."""
+class _TraceFile(StrictModel):
+    """A file that another program has written; what it says is kept by the names that it uses."""
 
     file: str
     format: Literal["ns2", "bonnmotion", "bonnmotion_3d", "csv"] | None = None
-    nodes: Annotated[tuple[NodeName, ...], Field(min_length=1)] | None = None
     _tracks: dict[str, Sampled] = PrivateAttr(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _read(self, info: ValidationInfo) -> Self:
-        trace_format = TraceFormat(self.format) if self.format else _FORMATS.get(PurePath(self.file).suffix)
-        if trace_format is None:
+    @property
+    def _trace_format(self) -> TraceFormat:
+        known = TraceFormat(self.format) if self.format else _FORMATS.get(PurePath(self.file).suffix)
+        if known is None:
             raise ValueError(
                 f"'{self.file}' does not tell its format; add format: ns2, bonnmotion, bonnmotion_3d or csv"
             )
+        return known
+
+    def _read(self, info: ValidationInfo) -> dict[str, Sampled]:
         try:
-            tracks = read_motion(read_file(info, self.file), trace_format)
+            return read_motion(read_file(info, self.file), self._trace_format)
         except TraceProblems as error:
             raise Problems(f"{self.file}:{problem}" for problem in error.problems) from None
-        self._tracks = tracks if trace_format is TraceFormat.CSV else self._named(tracks)
-        if trace_format is TraceFormat.CSV and self.nodes is not None:
+
+
+class MotionFile(_TraceFile):
+    """Motion of several nodes. ``nodes`` are the names of the file's nodes 0, 1, ... where it only counts them."""
+
+    nodes: Annotated[tuple[NodeName, ...], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _named_tracks(self, info: ValidationInfo) -> Self:
+        tracks, names_itself = self._read(info), self._trace_format is TraceFormat.CSV
+        if names_itself and self.nodes is not None:
             raise ValueError(f"'{self.file}' names its nodes itself; remove nodes")
+        if ONLY_NODE in tracks:
+            raise ValueError(
+                f"'{self.file}' does not say whose motion it is; add a column node, or give it to one node"
+            )
+        self._tracks = tracks if names_itself else self._named(tracks)
         return self
 
     @property
@@ -62,6 +79,38 @@ class MotionFile(StrictModel):
         if unknown:
             raise ValueError(f"'{self.file}' has a node {unknown[0]}, and nodes names {len(self.nodes)} from 0 on")
         return {self.nodes[int(number)]: track for number, track in tracks.items()}
+
+
+def _file_node(value: object) -> object:
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+class NodeMotion(_TraceFile):
+    """Motion of one node: the file's only one, or the one that ``node`` picks by the file's name or number of it."""
+
+    node: Annotated[str, BeforeValidator(_file_node), WithJsonSchema({"type": ["string", "integer"]})] | None = None
+
+    @model_validator(mode="after")
+    def _one_track(self, info: ValidationInfo) -> Self:
+        tracks = self._read(info)
+        if not tracks:
+            raise ValueError(f"'{self.file}' says nothing of any node")
+        if self.node is None and len(tracks) > 1:
+            raise ValueError(f"'{self.file}' has {len(tracks)} nodes; add node: with one of {_some(tracks)}")
+        if self.node is not None and self.node not in tracks:
+            raise ValueError(f"'{self.file}' has no node '{self.node}'; it has {_some(tracks)}")
+        self._tracks = {"": tracks[next(iter(tracks)) if self.node is None else self.node]}
+        return self
+
+    @property
+    def track(self) -> Sampled:
+        """Where the node is when."""
+        return self._tracks[""]
+
+
+def _some(names: Iterable[str]) -> str:
+    shown = list(names)
+    return ", ".join(name or "one without a name" for name in shown[:10]) + (", ..." if len(shown) > 10 else "")
 
 
 def choreography(scenario: Scenario, moves: tuple[Move, ...] = ()) -> Choreography:
@@ -94,6 +143,8 @@ def scheduled_moves(scenario: Scenario) -> tuple[Move, ...]:
 
 
 def _motion(node: Node, deployed_at_s: float) -> Motion:
+    if node.motion is not None:
+        return node.motion.track
     if node.follow is not None:
         assert node.distance_m is not None  # the model: both or neither
         return Follow(node.follow, node.distance_m)

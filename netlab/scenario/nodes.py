@@ -10,6 +10,7 @@ from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NodeName, NotYet, StrictModel, Switch, Topic, not_yet
 from netlab.scenario.mesh import BabelSettings, BatmanSettings, FloodSettings, MeshWord
+from netlab.scenario.motion import NodeMotion
 from netlab.scenario.places import Position, WaypointWords
 from netlab.scenario.quantities import (
     DURATION,
@@ -175,14 +176,19 @@ def _as_text(value: object) -> object:
 
 _FILE_WORDS = {"heading_deg": "heading", "speed_mps": "speed", "distance_m": "distance"}
 _WALK = ("position", "heading_deg", "waypoints", "speed_mps")
-_MOTION_WORDS = {"follow": (*_WALK, "carried_by"), "carried_by": (*_WALK, "follow", "distance_m")}
+_MOTION_WORDS = {
+    "motion": (*_WALK, "follow", "distance_m", "carried_by"),
+    "follow": (*_WALK, "carried_by"),
+    "carried_by": (*_WALK, "follow", "distance_m"),
+}
 
 
 class Node(StrictModel):
     """A robot, a relay or a base: where it stands or goes and what runs in it. ``position`` is in metres.
 
     A node stands, goes from waypoint to waypoint (``position`` or else the first one is where it begins), follows
-    another one ``distance_m`` behind on its path, or is carried by one until a `deploy` event drops it.
+    another one ``distance_m`` behind on its path, is carried by one until a `deploy` event drops it, or goes as its
+    ``motion`` file says.
     """
 
     position: Position = (0.0, 0.0)
@@ -200,7 +206,7 @@ class Node(StrictModel):
     flood: FloodSettings | None = None
     babel: BabelSettings | None = None
     wnet: WnetSettings | None = None
-    motion: NotYet = None
+    motion: NodeMotion | None = None
     rose: NotYet = None
 
     @model_validator(mode="after")
@@ -214,7 +220,7 @@ class Node(StrictModel):
     @model_validator(mode="after")
     def _one_motion(self) -> Self:
         given = self.model_fields_set
-        for key in ("follow", "carried_by"):
+        for key in _MOTION_WORDS:
             others = [word for word in _MOTION_WORDS[key] if word in given]
             if key in given and others:
                 raise ValueError(
@@ -236,7 +242,7 @@ class Node(StrictModel):
     @property
     def motion_key(self) -> str | None:
         """The key that makes it move; None if it stands."""
-        return next((key for key in ("waypoints", "follow", "carried_by") if getattr(self, key)), None)
+        return next((key for key in ("waypoints", *_MOTION_WORDS) if getattr(self, key)), None)
 
     def process(self, name: str) -> Process | None:
         """The process of that name, or None."""

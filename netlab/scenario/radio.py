@@ -16,15 +16,16 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema
 
-from netlab.scenario.base import NotYet, StrictModel, Switch, suggestion
+from netlab.scenario.base import StrictModel, Switch, suggestion
 from netlab.scenario.link_trace import LinkTraceFile
 from netlab.scenario.links import Ends
-from netlab.scenario.quantities import describe
+from netlab.scenario.quantities import DECIBELS, Quantity, describe
 from netlab.scenario.radio_physics import (
     DEFAULT_FREQUENCY_HZ,
     DEFAULT_TX_POWER_DBM,
     MODEL_NAMES,
     PHY_NAMES,
+    AntennaKeys,
     AntennaWords,
     Carrier,
     NoiseFloor,
@@ -43,11 +44,23 @@ if TYPE_CHECKING:
     from netlab.world.propagation.model import PropagationModel
 
 
-class TablePair(Ends, Words):
+class TableWords(Words):
+    """Words of a table: ``path_loss_db`` is a strength told by what is lost on the way, antennas included."""
+
+    path_loss_db: Annotated[float, Quantity(DECIBELS, maximum=300.0)] | None = Field(default=None, alias="path_loss")
+
+    @model_validator(mode="after")
+    def _one_strength(self) -> Self:
+        if self.path_loss_db is not None and self.rssi_dbm is not None:
+            raise ValueError("path_loss and rssi say the same; remove one")
+        return self
+
+
+class TablePair(Ends, TableWords):
     """How two radios hear each other, or one the other; its words win over the radio's."""
 
 
-class TableDefault(Words):
+class TableDefault(TableWords):
     """Words of the pairs that a table does not name."""
 
     @classmethod
@@ -75,20 +88,38 @@ class Propagation(StrictModel):
     """Who hears whom. `none`: everyone hears everyone. `table`: the pairs named, others by ``default``.
 
     Any other model computes how strongly from where the radios are, and brings its own words. ``default`` None means
-    out of range.
+    out of range. ``interpolate``: between two rows of ``file`` values go from one to the other instead of staying.
     """
 
     model: Annotated[str, BeforeValidator(_model_name), WithJsonSchema({"enum": list(_WITHOUT_POSITIONS)})]
     pairs: tuple[TablePair, ...] = ()
     default: Annotated[TableDefault | None, BeforeValidator(_table_default)] = None
     file: LinkTraceFile | None = None
-    path_loss: NotYet = None
+    interpolate: Switch = False
     _physics: PropagationModel | None = PrivateAttr(default=None)
 
     @property
     def physics(self) -> PropagationModel | None:
         """The model that computes signal strengths from positions; None for `none` and `table`."""
         return self._physics
+
+    @property
+    def has_path_losses(self) -> bool:
+        """Whether a table tells by path losses how strongly radios hear each other, so that their power counts."""
+        words: list[TableWords] = [*self.pairs, *filter(None, [self.default])]
+        rows = () if self.file is None else self.file.rows
+        losses = [*(entry.path_loss_db for entry in words), *(row.path_loss_db for row in rows)]
+        return any(loss_db is not None for loss_db in losses)
+
+    @property
+    def strengths_change(self) -> bool:
+        """Whether a measured file says how strongly radios hear each other as time goes on."""
+        return self.file is not None and self.file.has_strengths
+
+    @property
+    def changes_with_time(self) -> bool:
+        """Whether something of it changes at all times, and not just with events and rows."""
+        return self.physics is not None or self.strengths_change or self.interpolate
 
     @model_validator(mode="wrap")
     @classmethod
@@ -105,6 +136,8 @@ class Propagation(StrictModel):
         keys = [key for key in ("pairs", "default", "file") if key in self.model_fields_set]
         if self.model == "none" and keys:
             raise ValueError(f"{keys[0]} belongs to model: table; with none everyone hears everyone")
+        if self.interpolate and self.file is None:
+            raise ValueError("interpolate is about the rows of a file, and there is none; add file or remove it")
         return self
 
     @classmethod
@@ -115,7 +148,7 @@ class Propagation(StrictModel):
 #: Channels on which mac80211_hwsim's own rules let a mesh or an ad-hoc network beacon, by centre in MHz.
 HWSIM_CHANNELS_MHZ = (*range(2412, 2463, 5), 5180, 5200, 5220, 5240, *range(5745, 5826, 20))
 _HWSIM_KEYS = ("mode", "mesh_id", "ssid", "retry_limit", "monitor", "rssi")
-_PHYSICAL_KEYS = ("frequency", "tx_power", "antenna")
+_PHYSICAL_KEYS = ("frequency", "tx_power", "antenna", "antenna_gain")
 _MOST_RADIOS = 8
 _MOST_NAME_BYTES = 32  # IEEE 802.11-2016, 9.4.2.2 and 9.4.2.99
 
@@ -129,7 +162,7 @@ def _network_name(value: object) -> str:
 NetworkName = Annotated[str, BeforeValidator(_network_name), WithJsonSchema({"type": "string", "maxLength": 32})]
 
 
-class Radio(Words):
+class Radio(AntennaKeys, Words):
     """The defaults of every radio. The words here hold for every pair that is in range.
 
     ``driver`` `engine`: an Ethernet interface whose frames the engine carries; `hwsim`: a real 802.11 interface of the
@@ -148,7 +181,6 @@ class Radio(Words):
     phy: PhyName | None = None
     noise_dbm: NoiseFloor | None = Field(default=None, alias="noise")
     tx_power_dbm: TransmitPower = Field(default=DEFAULT_TX_POWER_DBM, alias="tx_power")
-    antenna: AntennaWords = AntennaWords()
 
     @property
     def hwsim_frequency_mhz(self) -> int:
@@ -175,7 +207,7 @@ class Radio(Words):
         return RadioSettings(
             frequency_hz=own.frequency_hz or self.frequency_hz or DEFAULT_FREQUENCY_HZ,
             tx_power_dbm=self.tx_power_dbm if own.tx_power_dbm is None else own.tx_power_dbm,
-            antenna=own.antenna or self.antenna,
+            antenna=own.antenna_words or self.antenna_words or AntennaWords(),
             phy=own.phy or self.phy,
             rate_bps=own.rate_bps or rate_bps,
             noise_dbm=self.noise_dbm if own.noise_dbm is None else own.noise_dbm,
@@ -189,6 +221,9 @@ class Radio(Words):
 
     def _misplaced_on_channel(self) -> str | None:
         if self.phy is None:
+            if self.propagation.has_path_losses or self.propagation.strengths_change:
+                remedy = "remove driver: hwsim and " if self.driver == "hwsim" else ""
+                return f"path losses and strengths over time need a phy; {remedy}add phy: {PHY_NAMES[0]}"
             return "noise belongs to radios with a phy; add phy or remove it" if self.noise_dbm is not None else None
         if self.driver == "hwsim":
             return "phy has no meaning with driver: hwsim, whose radios share no airtime; remove one of them"
@@ -216,6 +251,7 @@ class Radio(Words):
         physics = self.propagation.physics
         if physics is None:
             allowed = ("frequency",) if self.driver == "hwsim" else ()
+            allowed = ("tx_power",) if self.propagation.has_path_losses else allowed
             misplaced = [key for key in _PHYSICAL_KEYS if key in given and key not in allowed]
             what = f"to a propagation model that goes by positions ({', '.join(MODEL_NAMES)})"
             return f"{misplaced[0]} belongs {what}; choose one or remove it" if misplaced else None

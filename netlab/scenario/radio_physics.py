@@ -153,6 +153,26 @@ class AntennaWords(StrictModel):
         )
 
 
+class AntennaKeys(StrictModel):
+    """How a block names its antenna: in full, or by its gain all around."""
+
+    antenna: AntennaWords | None = None
+    antenna_gain_dbi: Annotated[float, _Gain] | None = Field(default=None, alias="antenna_gain")
+
+    @model_validator(mode="after")
+    def _one_antenna(self) -> Self:
+        if self.antenna is not None and self.antenna_gain_dbi is not None:
+            raise ValueError("antenna says all about it; put the gain there, or remove antenna_gain")
+        return self
+
+    @property
+    def antenna_words(self) -> AntennaWords | None:
+        """The antenna that is named; None leaves it to others."""
+        if self.antenna_gain_dbi is None:
+            return self.antenna
+        return AntennaWords.model_construct(gain_dbi=self.antenna_gain_dbi)
+
+
 #: The radios of netlab.medium.phy, whose tables a scenario without phy does without.
 PHY_NAMES = ("802.11g-20MHz", "802.11n-20MHz-1x1", "802.11n-20MHz-2x2", "subt")
 
@@ -169,7 +189,7 @@ TransmitPower = Annotated[float, Quantity(POWER, minimum=-30.0, maximum=60.0)]
 Carrier = Annotated[float, Quantity(FREQUENCY, minimum=1e8, maximum=1e11)]
 
 
-class RadioEnds(StrictModel):
+class RadioEnds(AntennaKeys):
     """What a radio of a node may have of its own; what is left out is as in the scenario's `radio:` block.
 
     All radios on one frequency are of one kind: ``phy``, ``rate_bps`` and ``noise_dbm`` are those of their channel.
@@ -177,7 +197,6 @@ class RadioEnds(StrictModel):
 
     frequency_hz: Carrier | None = Field(default=None, alias="frequency")
     tx_power_dbm: TransmitPower | None = Field(default=None, alias="tx_power")
-    antenna: AntennaWords | None = None
     phy: PhyName | None = None
     rate_bps: BitsPerSecond | None = Field(default=None, alias="rate")
     noise_dbm: NoiseFloor | None = Field(default=None, alias="noise")

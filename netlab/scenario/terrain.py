@@ -7,24 +7,26 @@ from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import Field, model_validator
 
-from netlab.scenario.base import NotYet, Problems, StrictModel
+from netlab.scenario.base import Problems, StrictModel
 from netlab.scenario.places import Position
 from netlab.scenario.quantities import Metres
+from netlab.scenario.walls import WallWords
 
 if TYPE_CHECKING:
     from netlab.world.terrain import TunnelMap
 
 MOST_POINTS = 1000  # the tables of all ways grow with the square
+_MOST_CELLS = 32 * MOST_POINTS**2  # of the table of ways by kind of tunnel
 
 
 class TunnelWords(StrictModel):
-    """One tunnel: a name for messages and maps, the points of its centre line, and its cross-section."""
+    """One tunnel: a name for messages and maps, the points of its centre line, its cross-section and walls."""
 
     name: Annotated[str, Field(min_length=1, max_length=64)]
     path: Annotated[tuple[Position, ...], Field(min_length=2)]
     width_m: Metres = Field(alias="width")
     height_m: Metres | None = Field(default=None, alias="height")
-    material: NotYet = None
+    material: WallWords | None = None
 
     @model_validator(mode="after")
     def _points_apart(self) -> Self:
@@ -48,6 +50,9 @@ class Terrain(StrictModel):
         points = sum(len(tunnel.path) for tunnel in self.tunnels)
         if points > MOST_POINTS:
             twice.append(f"the tunnels have {points:,} points; the most is {MOST_POINTS:,}")
+        kinds = len({(tunnel.width_m, tunnel.height_m, tunnel.material) for tunnel in self.tunnels})
+        if kinds * points**2 > _MOST_CELLS:
+            twice.append(f"{points} points in {kinds} kinds of tunnels are too many; let widths or materials be equal")
         if twice:
             raise Problems(twice)
         return self
@@ -65,6 +70,7 @@ class Terrain(StrictModel):
                     tuple(_in_space(point) for point in tunnel.path),
                     tunnel.width_m,
                     tunnel.width_m if tunnel.height_m is None else tunnel.height_m,
+                    None if tunnel.material is None else tunnel.material.walls,
                 )
                 for tunnel in self.tunnels
             ]

@@ -103,6 +103,8 @@ def _syntax_problem(error: yaml.MarkedYAMLError, source: str, name: str) -> str:
     line = f":{mark.line + 1}" if mark else ""
     if isinstance(error, yaml.composer.ComposerError) and "another document" in str(error.problem):
         return f"{name}{line}: a second document begins; a file holds one scenario"
+    if "nesting depth" in str(error.problem):  # PyYAML 6.0.4 and later has a limit of its own, beyond ours
+        return f"{name}{line}: nested deeper than {_MAX_DEPTH} levels"
     text = ", ".join(part for part in (error.context, error.problem) if part)
     at_tab = mark is not None and "\t" in "".join(source.splitlines()[mark.line : mark.line + 1])[: mark.column + 1]
     hint = "; indent with spaces, not tabs" if at_tab else ""

@@ -13,7 +13,7 @@ from netlab.timeline.entries import (
     SetPairs,
     StartProcess,
 )
-from netlab.timeline.routes import carried_pairs
+from netlab.timeline.routes import MeshRoutes, carried_pairs
 
 __all__ = [
     "Action",
@@ -21,6 +21,7 @@ __all__ = [
     "Entry",
     "KillProcess",
     "Kind",
+    "MeshRoutes",
     "MoveNode",
     "SetCarrier",
     "SetOutage",

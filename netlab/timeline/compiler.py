@@ -133,7 +133,7 @@ class _Compiler:
         kind = Kind.FLAP_UP if flap else Kind.OUTAGE_END
         label = f"flap {path_name(part)} up" if flap else f"outage {path_name(part)} ends"
         a, b = part.ends
-        restores = (a, b) if self._holds.free(self._places.all_between(a, b)) else None
+        restores = (a, b) if self._are_joined(a, b) else None
         if rose.ports:
             yield Entry(at_s, kind, label, SetCarrier(rose.ports, up=True), None if rose.pairs else restores)
         if rose.pairs:
@@ -173,12 +173,29 @@ class _Compiler:
 
     def _trace(self, radio_words: RadioWords, rows: tuple[TraceRow, ...], at_s: float) -> Iterator[Entry]:
         changes: dict[Pair, Impairment | None] = {}
+        came: list[Hop] = []
         for row in rows:
             hop = (row.sender, row.receiver)
+            was_heard = radio_words.get(hop) is not None
             radio_words.apply(row)
             changes |= dict.fromkeys(self._places.radios(hop), self._heard(radio_words, hop))
-        plural = "" if len(changes) == 1 else "s"
-        yield Entry(at_s, Kind.TRACE, f"radio trace: {len(changes)} pair{plural}", SetPairs(changes))
+            if not was_heard and radio_words.get(hop) is not None:
+                came.append(hop)
+        for a, b in dict.fromkeys((min(hop), max(hop)) for hop in came):
+            plain = self._scenario.meshes[a] is None and self._places.wire((a, b)) is None
+            if plain and self._are_joined(a, b):
+                own = {pair: changes.pop(pair) for pair in self._places.all_between(a, b) & changes.keys()}
+                yield Entry(at_s, Kind.TRACE, f"radio trace: {a} and {b} hear each other", SetPairs(own), (a, b))
+        if changes:
+            plural = "" if len(changes) == 1 else "s"
+            yield Entry(at_s, Kind.TRACE, f"radio trace: {len(changes)} pair{plural}", SetPairs(changes))
+
+    def _are_joined(self, a: str, b: str) -> bool:
+        """Whether nothing holds anything between two nodes down, and their radios, without a wire, are in range."""
+        words = self._radio_words
+        if words is not None and self._places.wire((a, b)) is None and None in (words.get((a, b)), words.get((b, a))):
+            return False
+        return self._holds.free(self._places.all_between(a, b))
 
 
 def _alone(kind: Kind, label: str, action: Action, at_s: float) -> Iterator[Entry]:

@@ -1,12 +1,16 @@
-"""The words of every directed pair of nodes as they change: wires and radios, from the start of the scenario on."""
+"""The words of every directed pair of nodes as they change: wires and radios, from the start of the scenario on.
+
+What a trace says of signal strengths is no word: it is :mod:`netlab.world.measured`'s business.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import permutations
 
 from netlab.scenario.link_trace import TraceRow
 from netlab.scenario.model import Scenario
-from netlab.scenario.radio import Radio
+from netlab.scenario.radio import Radio, TableWords
 from netlab.scenario.words import Loss, Words
 
 Hop = tuple[str, str]  # (sender, receiver), names of nodes
@@ -23,16 +27,22 @@ class RadioWords:
         self._base = radio.pair_words
         self._words: dict[Hop, Words] = {}
         self._out_of_range: set[Hop] = set()
+        default = radio.propagation.default
+        if default is not None and default.path_loss_db is not None:
+            for hop in permutations(scenario.radio_nodes, 2):
+                self._words[hop] = _table_words(scenario, hop[0], default, self._base)
         for pair in radio.propagation.pairs:
             for hop in pair.directions:
-                self._words[hop] = pair.laid_over(self._base)
+                self._words[hop] = _table_words(scenario, hop[0], pair, self._base)
         self.later_rows: tuple[TraceRow, ...] = ()
         if radio.propagation.file is not None:
-            rows = radio.propagation.file.rows
-            for row in rows:
-                if row.at_s <= 0:
+            for row in radio.propagation.file.rows:
+                if row.has_strength:  # which says from then on whether it is heard at all
+                    self._words.setdefault((row.sender, row.receiver), self.default or self._base)
+            for row in radio.propagation.file.rows:
+                if row.at_s <= 0 and row.has_words:
                     self.apply(row)
-            self.later_rows = tuple(row for row in rows if row.at_s > 0)
+            self.later_rows = tuple(row for row in radio.propagation.file.rows if row.at_s > 0 and row.has_words)
 
     def special_hops(self) -> Iterator[Hop]:
         """The pairs that have words of their own or are out of range; all others are as ``default`` says."""
@@ -83,6 +93,14 @@ def _default_words(radio: Radio) -> Words | None:
         return radio.pair_words
     default = radio.propagation.default
     return None if default is None else default.laid_over(radio.pair_words)
+
+
+def _table_words(scenario: Scenario, sender: str, words: TableWords, base: Words) -> Words:
+    """Words of a table laid over the radio's, a path loss as the strength that it leaves of the sender's power."""
+    laid = words.laid_over(base)
+    if words.path_loss_db is None:
+        return laid
+    return laid.model_copy(update={"rssi_dbm": scenario.radios(sender)[0].tx_power_dbm - words.path_loss_db})
 
 
 def _row_words(row: TraceRow) -> Words:

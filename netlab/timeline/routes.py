@@ -2,14 +2,18 @@
 
 Theory. Two nodes of a mesh are joined when a chain of hops leads from one to the other, each hop up in both directions:
 in range, not cut, carriers up. The entries of one moment count together: six cuts at once that sever two nodes are no
-reason to reroute. Only the ends of streams are asked about, since only they can show an answer.
+reason to reroute, and neither is a cut of what was not up. Only the ends of streams are asked about, since only they
+can show an answer.
+
+Who is in range is in the plan and in the entries, but for radios whose strengths change with places or by a measured
+file: of those it is known at run time alone, who is in contact (``MeshRoutes.mark``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
+from itertools import groupby, permutations
 from typing import TYPE_CHECKING
 
 from netlab.scenario.mesh import components
@@ -25,20 +29,43 @@ def with_routes(entries: Sequence[Entry], scenario: Scenario, plan: LabPlan) -> 
     """Mark the entries that concern streams over a mesh.
 
     The last cut of a moment gets ``reroutes``, the last ending ``rejoins``; ``restores`` of two nodes in a mesh goes,
-    because it is the mesh that joins them.
+    because it is the mesh that joins them. Where strengths change, nothing but that happens here.
     """
-    meshed = [
-        tuple(sorted((stream.source, stream.destination)))
-        for stream in scenario.streams()
-        if scenario.meshes[stream.source] is not None and scenario.reaches(stream.source, stream.destination)
-    ]
     if not plan.meshes:
         return tuple(entries)
-    state = _State(plan, carried_pairs(scenario, plan))
-    marked: list[Entry] = []
-    for _, moment in groupby(entries, key=lambda entry: entry.at_s):
-        marked += _moment([_plain(entry, scenario) for entry in moment], dict.fromkeys(meshed), state)
-    return tuple(marked)
+    plain = [_plain(entry, scenario) for entry in entries]
+    if _strengths_change(scenario):
+        return tuple(plain)
+    routes = MeshRoutes(scenario, plan)
+    return tuple(entry for _, moment in groupby(plain, key=lambda e: e.at_s) for entry in routes.mark(list(moment)))
+
+
+class MeshRoutes:
+    """Marks moments of a timeline, one after another in the order of time."""
+
+    def __init__(self, scenario: Scenario, plan: LabPlan) -> None:
+        self._ends = dict.fromkeys(
+            tuple(sorted((stream.source, stream.destination)))
+            for stream in scenario.streams()
+            if scenario.meshes[stream.source] is not None and scenario.reaches(stream.source, stream.destination)
+        )
+        self._state = _State(plan, carried_pairs(scenario, plan))
+
+    def mark(self, moment: Sequence[Entry], contacts: Collection[Pair] | None = None) -> list[Entry]:
+        """Mark the entries of one moment.
+
+        Args:
+            moment: In order.
+            contacts: The pairs of radio ports that hear each other now; None: as the entries so far say.
+        """
+        if contacts is not None:
+            self._state.hear(contacts)
+        return _moment(list(moment), self._ends, self._state)
+
+
+def _strengths_change(scenario: Scenario) -> bool:
+    propagation = None if scenario.radio is None else scenario.radio.propagation
+    return propagation is not None and (propagation.physics is not None or propagation.strengths_change)
 
 
 def carried_pairs(scenario: Scenario, plan: LabPlan) -> dict[str, frozenset[Pair]]:
@@ -54,7 +81,7 @@ def _plain(entry: Entry, scenario: Scenario) -> Entry:
 
 
 def _moment(entries: list[Entry], ends: Iterable[tuple[str, ...]], state: _State) -> list[Entry]:
-    before = state.parts()
+    before, hops_before = state.parts(), state.hops()
     cuts: list[int] = []
     endings: list[int] = []
     for place, entry in enumerate(entries):
@@ -62,7 +89,7 @@ def _moment(entries: list[Entry], ends: Iterable[tuple[str, ...]], state: _State
         state.apply(entry.action)
     after = state.parts()
     joined = [(a, b) for a, b in ends if after[a] == after[b]]
-    if cuts:
+    if cuts and hops_before - state.hops():
         reroutes = tuple((a, b) for a, b in joined if before[a] == before[b])
         entries[cuts[-1]] = replace(entries[cuts[-1]], reroutes=reroutes)
     if endings:
@@ -101,7 +128,10 @@ class _State:
         self._out: frozenset[Pair] = frozenset()
         self._carried = carried
         self._unplugged: set[int] = set()
-        self._parts: Mapping[str, Hashable] | None = None
+        self._radios = [pair for segment in plan.segments if segment.channel for pair in permutations(segment.ports, 2)]
+        self._radios = [pair for pair in self._radios if pair in self._in_range]
+        self._hops: frozenset[Pair] | None = None
+        self._parts: Mapping[str, Hashable] = {}
 
     def apply(self, action: Action) -> None:
         match action:
@@ -117,14 +147,26 @@ class _State:
                 if not news:  # most steps of a radio trace
                     return
                 self._in_range |= news
-        self._parts = None
+        self._hops = None
+
+    def hear(self, contacts: Collection[Pair]) -> None:
+        """Radios in contact are in range, and all others are not."""
+        now = {pair: pair in contacts for pair in self._radios}
+        if now.items() - self._in_range.items():
+            self._in_range |= now
+            self._hops = None
+
+    def hops(self) -> frozenset[Pair]:
+        """Pairs of ports (the lower one first) that are up in both directions."""
+        if self._hops is None:
+            self._hops = frozenset((a, b) for a, b in self._in_range if a < b and self._up(a, b) and self._up(b, a))
+            ports = self._plan.ports
+            self._parts = components(self._plan.nodes, ((ports[a].node, ports[b].node) for a, b in self._hops))
+        return self._hops
 
     def parts(self) -> Mapping[str, Hashable]:
         """Label the nodes by the part of a mesh that they are in now."""
-        if self._parts is None:
-            ports = self._plan.ports
-            hops = ((ports[a].node, ports[b].node) for a, b in self._in_range if self._up(a, b) and self._up(b, a))
-            self._parts = components(self._plan.nodes, hops)
+        self.hops()
         return self._parts
 
     def _up(self, sender: int, receiver: int) -> bool:

@@ -6,7 +6,8 @@ kernel's counters at the beginning and at the end (frames that found the queue f
 lost by the loss model. Without counters, lost and queue full are not told apart.
 
 Of equal frames that are under way at the same time it is not known which one is missing, only how many are. A frame
-sent in the instant of a change of state may be put down to the state before.
+sent in the instant of a change of state may be put down to the state before. Where frames take no time their arrivals
+may be recorded before their departures: within one instant an arrival waits for its departure.
 """
 
 from __future__ import annotations
@@ -98,6 +99,8 @@ class PacketLinks:
         self._group: dict[Interface, _Offered] = {}
         self._fates: dict[Pair, _Fate] = {}
         self._cut: dict[Interface, dict[Interface, Verdict]] = {}  # by sender; replaced, never changed
+        self._instant_ns = 0
+        self._early: list[PacketRecord] = []  # arrivals of this instant that nobody has sent yet
 
     def state(self, pair: Pair, state: str, *, corrupts: bool = False, counts: KernelCounts | None = None) -> None:
         """A pair's state from now on, and the kernel's counters now, where they were asked for."""
@@ -112,21 +115,21 @@ class PacketLinks:
 
     def packet(self, record: PacketRecord) -> None:
         """Count one packet at one interface."""
+        if record.t_ns != self._instant_ns:
+            self._end_instant()
+            self._instant_ns = record.t_ns
         here, target = (record.node, record.interface), self._macs.get(record.frame[:6])
         if here not in self._interfaces:
             return
-        if record.direction is Direction.OUTBOUND:
-            if record.frame[:1] and (record.frame[0] & _GROUP or target is not None):
-                self._leaves(here, target, record)
-        elif (sent := self._sent.get(record.crc32)) is None:
-            sender = self._macs.get(record.frame[6:12])
-            if sender is not None and (fate := self._fates.get((sender, here))) and fate.corrupts:
-                fate.changed += 1
-        elif target in (here, None) and here != sent.sender:
-            self._arrives(here, sent)
+        if record.direction is not Direction.OUTBOUND:
+            self._early.append(record) if self._is_early(here, record) else self._inbound(record)
+        elif record.frame[:1] and (record.frame[0] & _GROUP or target is not None):
+            self._leaves(here, target, record)
+            self._admit_early()
 
     def counts(self) -> dict[Pair, LinkCounts]:
         """One entry per pair that was addressed by unicast or over which anything ever arrived."""
+        self._end_instant()
         links = {}
         for pair, fate in sorted(self._fates.items()):
             group = self._group.get(pair[0], _Offered())
@@ -134,6 +137,33 @@ class PacketLinks:
             if frames and (fate.unicast.frames or fate.arrived):
                 links[pair] = _link(fate, frames, fate.unicast.size_bytes + group.size_bytes)
         return links
+
+    def _admit_early(self) -> None:
+        still_early: list[PacketRecord] = []
+        for record in self._early:
+            if self._is_early((record.node, record.interface), record):
+                still_early.append(record)
+            else:
+                self._inbound(record)
+        self._early = still_early
+
+    def _end_instant(self) -> None:
+        early, self._early = self._early, []
+        for record in early:
+            self._inbound(record)
+
+    def _is_early(self, here: Interface, record: PacketRecord) -> bool:
+        sent = self._sent.get(record.crc32)
+        return sent is None or sent.arrived.get(here, 0) >= sent.count
+
+    def _inbound(self, record: PacketRecord) -> None:
+        here, target = (record.node, record.interface), self._macs.get(record.frame[:6])
+        if (sent := self._sent.get(record.crc32)) is None:
+            sender = self._macs.get(record.frame[6:12])
+            if sender is not None and (fate := self._fates.get((sender, here))) and fate.corrupts:
+                fate.changed += 1
+        elif target in (here, None) and here != sent.sender:
+            self._arrives(here, sent)
 
     def _fate(self, pair: Pair) -> _Fate:
         return self._fates.setdefault(pair, _Fate())

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from netlab.capture.decoders import mesh_of, traffic_of, udp_of
+from netlab.capture.decoders import mesh_of, traffic_in, udp_of
 from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, PacketRecord, VerdictRecord
 from netlab.capture.schemas import Direction
@@ -19,6 +19,7 @@ from netlab.traces.model import (
     Fragment,
     Interface,
     LinkCounts,
+    LinkState,
     Presence,
     Published,
     Remark,
@@ -26,11 +27,11 @@ from netlab.traces.model import (
     Stream,
     Trace,
     Window,
+    killed_daemon,
 )
 from udp_mesh.core.wire import tag_of
 
 _KINDS = frozenset(Kind) - {Kind.LOG, Kind.MAP, Kind.POSES}
-_COPY_WITHIN_NS = 1_000_000_000  # between a daemon's event and its packet; a restarted daemon begins its numbers anew
 
 
 def load_trace(path: Path | str) -> Trace:
@@ -40,15 +41,26 @@ def load_trace(path: Path | str) -> Trace:
         CaptureError: The file is no capture, or its metadata is damaged.
     """
     with Capture.open(path) as capture:
-        loader = _Loader(capture)
-        for record in capture.records(_KINDS):
-            if isinstance(record, PacketRecord):
-                loader.packet(record)
-            elif isinstance(record, VerdictRecord):
-                loader.verdict(record)
-            elif isinstance(record, JsonRecord):
-                loader.json(record)
-        return loader.finish(list(capture.notes))
+        return read_trace(capture)
+
+
+def read_trace(capture: Capture, *, with_packets: bool = True) -> Trace:
+    """As :func:`load_trace`, of an open capture.
+
+    Args:
+        capture: It stays open.
+        with_packets: Without packets and verdicts, ``fragments`` and ``links`` stay empty: far less time and memory.
+    """
+    kinds = _KINDS if with_packets else _KINDS - {Kind.PACKET, Kind.VERDICT}
+    loader = _Loader(capture)
+    for record in capture.records(kinds):
+        if isinstance(record, PacketRecord):
+            loader.packet(record)
+        elif isinstance(record, VerdictRecord):
+            loader.verdict(record)
+        elif isinstance(record, JsonRecord):
+            loader.json(record)
+    return loader.finish(list(capture.notes))
 
 
 class _Loader:
@@ -58,7 +70,6 @@ class _Loader:
         self._packet_links: PacketLinks | None = None  # only where the medium tells no verdicts
         self._tags: list[int] = []  # destination tag per fragment, in the order of loading
         self._packet_numbers: list[int] = []  # likewise
-        self._copies: dict[tuple[str, str, int, int, int], list[int]] = {}  # when: by node, peer, packet and fragment
         self._wire_ids: dict[tuple[str, int], int] = {}  # of messages that were begun anew, by node and first id
         self._fragments: list[Fragment] = []
         self._messages: dict[tuple[str, int, int], tuple[int, int]] = {}
@@ -91,15 +102,25 @@ class _Loader:
             )
             for item in json.loads(metadata.get("streams", "[]"))
         )
-        macs: dict[bytes, Interface] = {}
         for port in json.loads(metadata.get("ports", "[]")):
             self._interfaces[port["node"], port.get("segment")] = interface = (port["node"], port["interface"])
+            trace.segments[interface] = str(port.get("segment") or "")
             if port.get("mac"):
-                macs[bytes.fromhex(port["mac"].replace(":", ""))] = interface
+                trace.macs[bytes.fromhex(port["mac"].replace(":", ""))] = interface
             if port.get("rate_bps"):
                 trace.rates_bps[interface] = [(0, float(port["rate_bps"]))]
+        for port in (*json.loads(metadata.get("ports", "[]")), *json.loads(metadata.get("meshes", "[]"))):
+            if port.get("address"):
+                trace.addresses[port["address"].split("/")[0]] = port["node"]
+        planned = set(self._interfaces.values())
+        seen = {
+            (topic.metadata.get("node"), topic.metadata.get("interface"))
+            for topic in capture.topics
+            if topic.kind is Kind.PACKET
+        }
+        trace.is_meshed = bool(planned) and bool(seen - planned)
         if not any(topic.kind is Kind.VERDICT for topic in capture.topics):
-            self._packet_links = PacketLinks(macs)
+            self._packet_links = PacketLinks(trace.macs)
         for stream in trace.streams:
             trace.published[stream.index], trace.delivered[stream.index] = [], []
 
@@ -118,7 +139,7 @@ class _Loader:
         self._nodes[tag_of(mesh.epoch)] = record.node
         for piece in mesh.fragments:
             key = (record.node, mesh.epoch, piece.message_id)
-            if piece.topic is not None and (header := traffic_of(piece.payload)):
+            if header := traffic_in(piece):
                 self._messages[key] = (header.stream, header.seq)
             self._tags.append(0 if mesh.is_broadcast else mesh.destination_tag)
             self._packet_numbers.append(mesh.packet_number)
@@ -147,8 +168,8 @@ class _Loader:
         for fragment, tag, number in zip(self._fragments, self._tags, self._packet_numbers, strict=True):
             message = self._messages.get((fragment.node, fragment.epoch, fragment.message_id))
             destination = fragment.destination or self._nodes.get(tag, "")
-            copies = self._copies.get((fragment.node, destination, number, fragment.message_id, fragment.index), ())
-            is_copy = any(abs(fragment.t_ns - t_ns) < _COPY_WITHIN_NS for t_ns in copies)
+            sent_as = (fragment.node, destination, number, fragment.message_id, fragment.index)
+            is_copy = trace.daemons.is_copy(sent_as, fragment.t_ns)
             whole = replace(fragment, destination=destination, message=message, is_copy=is_copy)
             trace.fragments.setdefault(fragment.node, []).append(whole)
         if self._packet_links is not None:
@@ -164,9 +185,12 @@ class _Loader:
         planned_s = float(at_s) if isinstance(at_s, int | float) else self._trace.seconds(record.t_ns)
         label, kind = record.text("label"), record.text("kind")
         self._trace.timeline.append(Step(record.t_ns, planned_s, label, kind, pair, reroutes, rejoins))
+        if killed := killed_daemon(label) if kind == "kill" else None:
+            self._trace.daemons.restart(record.t_ns, killed)
 
     def _link(self, record: JsonRecord) -> None:
         """One directed pair's new state. An interface is as fast as the slowest of its pairs."""
+        self._note_state(record)
         interface = self._interfaces.get((record.text("from"), record.text("segment")))
         if interface is None:
             return
@@ -179,6 +203,18 @@ class _Loader:
         changes = self._trace.rates_bps.setdefault(interface, [])
         if not changes or changes[-1][1] != slowest:
             changes.append((record.t_ns, slowest))
+
+    def _note_state(self, record: JsonRecord) -> None:
+        words = record.payload.get("impairment")
+        delay_s, jitter_s, rate_bps = (
+            float(value) if isinstance(words, dict) and isinstance(value := words.get(key), int | float) else None
+            for key in ("delay_s", "jitter_s", "rate_bps")
+        )
+        key = (record.text("from"), record.text("to"), record.text("segment"))
+        new = LinkState(record.t_ns, record.text("state"), delay_s, jitter_s or 0.0, rate_bps)
+        states = self._trace.states.setdefault(key, [])
+        if not states or replace(states[-1], t_ns=new.t_ns) != new:
+            states.append(new)
 
     def _link_state(self, record: JsonRecord, sender: Interface, impairment: object) -> None:
         receiver = self._interfaces.get((record.text("to"), record.text("segment")))
@@ -208,6 +244,7 @@ class _Loader:
 
     def _event(self, record: JsonRecord) -> None:
         trace, pair = self._trace, (record.node, record.text("peer"))
+        trace.daemons.take(record.t_ns, record.node, record.payload)
         match record.text("event"):
             case "peer_up" | "peer_down" as change:
                 presence = trace.presence.setdefault(pair, Presence())
@@ -217,10 +254,6 @@ class _Loader:
             case "window":
                 window = Window(record.t_ns, record.number("cwnd_bytes"), record.number("in_flight_bytes"))
                 trace.windows.setdefault(pair, []).append(window)
-            case "fragment_copied":
-                number, index = record.number("packet_number"), record.number("fragment_index")
-                copy = (*pair, number, record.number("message_id"), index)
-                self._copies.setdefault(copy, []).append(record.t_ns)
             case "message_begun_anew":
                 self._wire_ids[record.node, record.number("message_id")] = record.number("wire_id")
             case "message_dropped":

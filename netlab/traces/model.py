@@ -9,6 +9,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 
 from netlab.medium.verdicts import Verdict
+from netlab.traces.daemon_log import DaemonLog
 
 NS_PER_S = 1_000_000_000
 EVERYBODY = "all"
@@ -107,6 +108,12 @@ class Step:
     rejoins: tuple[tuple[str, str], ...] = ()
 
 
+def killed_daemon(label: str) -> str | None:
+    """The node whose udp_mesh daemon a timeline's step kills or starts; None if it means something else."""
+    words = label.split()
+    return words[3] if words[0:1] in (["kill"], ["start"]) and words[1:3] == ["udp_mesh", "on"] and words[3:] else None
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """A flow's state as its sender's daemon reported it."""
@@ -114,6 +121,21 @@ class Window:
     t_ns: int
     cwnd_bytes: float
     in_flight_bytes: float
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """What the lab recorded of one directed pair of a segment from ``t_ns`` on.
+
+    ``state``: ``up``, ``outage``, ``no_carrier`` or ``out_of_range``. ``delay_s`` and ``jitter_s`` are the link's own,
+    None where nothing is said of them, as of radios; ``rate_bps`` None is unlimited or the radio's matter.
+    """
+
+    t_ns: int
+    state: str
+    delay_s: float | None = None
+    jitter_s: float = 0.0
+    rate_bps: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +190,12 @@ class Trace:
         rates_bps: Rate of the slowest link that starts at an interface, as (since t_ns, rate); None is unlimited.
         dropped_ns: When a node gave a message up, by (node, message id).
         links: By (sender, receiver).
+        states: Of each directed pair of nodes on one segment, as (from, to, segment): its states in the order of time.
+        segments: The segment of each interface of the plan.
+        is_meshed: Whether nodes have interfaces besides those of the plan: a mesh below IP routes between them.
+        macs: Whose interface an address is, as far as the run's metadata tells.
+        addresses: Whose an IPv4 address is, as far as the run's metadata tells.
+        daemons: What the daemons told of their messages and peers.
         notes: What is wrong with the capture.
     """
 
@@ -184,12 +212,22 @@ class Trace:
     rates_bps: dict[Interface, list[tuple[int, float | None]]] = field(default_factory=dict)
     dropped_ns: dict[tuple[str, int], list[int]] = field(default_factory=dict)
     links: dict[tuple[Interface, Interface], LinkCounts] = field(default_factory=dict)
+    states: dict[tuple[str, str, str], list[LinkState]] = field(default_factory=dict)
+    segments: dict[Interface, str] = field(default_factory=dict)
+    is_meshed: bool = False
+    macs: dict[bytes, Interface] = field(default_factory=dict)
+    addresses: dict[str, str] = field(default_factory=dict)
+    daemons: DaemonLog = field(default_factory=DaemonLog)
     remarks: list[Remark] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def seconds(self, t_ns: int) -> float:
         """Scenario time."""
         return (t_ns - self.t0_ns) / NS_PER_S
+
+    def find_published(self, stream: int, seq: int) -> Published | None:
+        """A stream's publication by its number."""
+        return next((entry for entry in self.published.get(stream, []) if entry.seq == seq), None)
 
     def rate_bps(self, interface: Interface, t_ns: int) -> float | None:
         """Rate of an interface's slowest link at a time; None is unlimited."""

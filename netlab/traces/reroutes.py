@@ -24,28 +24,38 @@ class Reroute:
 def reroutes(trace: Trace) -> list[Reroute]:
     """One entry per cut and pair of nodes that still had a path, in the order of time.
 
-    The delay is that of the slowest stream between the two, in either direction: each direction finds its own way.
-    What was published before the cut does not count, wherever it was; so frames that were past the cut do not either.
+    Each direction finds its own way: the delay is that of the slower one, by the first of its streams that delivers. A
+    stream that sends seldom, or waits behind more urgent ones, says nothing of the way where another one shows it. What
+    was published before the cut does not count, wherever it was; so frames that were past the cut do not either.
     """
     return [_reroute(trace, step, between) for step in trace.timeline for between in step.reroutes]
 
 
 def fresh_delay_s(trace: Trace, between: tuple[str, str], t_ns: int) -> float | None:
-    """From a moment until every stream between two nodes has delivered a message that was published since.
+    """From a moment until a message that was published since has arrived in each direction that has streams.
 
     Returns:
-        Seconds; None if a stream delivered none until the end, or there is no stream.
+        Seconds; None if a direction delivered none until the end, or there is no stream.
     """
-    streams = [stream.index for stream in trace.streams if {stream.source, stream.destination} == set(between)]
-    first = [_first_fresh_ns(trace, stream, t_ns) for stream in streams]
-    known = [at_ns for at_ns in first if at_ns is not None]
-    return (max(known) - t_ns) / NS_PER_S if known and len(known) == len(first) else None
+    a, b = between
+    directions = [_first_fresh_ns(trace, *ends, t_ns) for ends in ((a, b), (b, a)) if _streams(trace, *ends)]
+    known = [at_ns for at_ns in directions if at_ns is not None]
+    return (max(known) - t_ns) / NS_PER_S if known and len(known) == len(directions) else None
 
 
 def _reroute(trace: Trace, step: Step, between: tuple[str, str]) -> Reroute:
     return Reroute(between, trace.seconds(step.t_ns), fresh_delay_s(trace, between, step.t_ns), step.t_ns)
 
 
-def _first_fresh_ns(trace: Trace, stream: int, since_ns: int) -> int | None:
-    times = (delivery.t_ns for delivery in first_deliveries(trace, stream) if delivery.published_ns >= since_ns)
+def _streams(trace: Trace, source: str, destination: str) -> list[int]:
+    return [s.index for s in trace.streams if (s.source, s.destination) == (source, destination)]
+
+
+def _first_fresh_ns(trace: Trace, source: str, destination: str, since_ns: int) -> int | None:
+    times = (
+        delivery.t_ns
+        for stream in _streams(trace, source, destination)
+        for delivery in first_deliveries(trace, stream)
+        if delivery.published_ns >= since_ns
+    )
     return min(times, default=None)

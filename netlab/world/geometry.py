@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from netlab.world.walls import Section
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -37,6 +39,9 @@ class Geometry:
     at most 1; 0 in line of sight. ``width_m`` and ``height_m`` are those of the narrowest tunnel on the way, nan
     without terrain. ``bearing_deg[i, j]`` is the direction in which the radiation of i for j leaves, counter-clockwise
     from the x axis: straight in line of sight, else along the tunnel at i. Without terrain all is in sight.
+
+    ``shares[k]`` is which part of the way lies in tunnels like ``sections[k]``, summing up to 1; without terrain there
+    are none.
     """
 
     distance_m: Floats
@@ -45,3 +50,5 @@ class Geometry:
     width_m: Floats
     height_m: Floats
     bearing_deg: Floats
+    sections: tuple[Section, ...] = ()
+    shares: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))  # (sections, N, N)

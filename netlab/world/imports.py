@@ -14,7 +14,9 @@ from itertools import pairwise
 
 from netlab.world.motion import Sampled
 
-CSV_COLUMNS = ("at_s", "node", "x", "y", "z")
+_CSV_PLACE = ("x", "y", "z")
+#: The name of the node in a CSV file without a column for it.
+ONLY_NODE = ""
 _MOST_PROBLEMS = 20
 _NUMBER = r"([-+0-9.eE]+)"
 _INITIAL = re.compile(rf"\$node_\((\d+)\)\s+set\s+([XYZ])_\s+{_NUMBER}")
@@ -131,8 +133,10 @@ def _read_csv(text: str) -> dict[str, Sampled]:
         stripped = [cell.strip() for cell in line.split(",")]
         if columns is None:
             columns = stripped
-            if tuple(columns) not in (CSV_COLUMNS, CSV_COLUMNS[:-1]):
-                raise TraceProblems([f"{number}: the columns must be at_s,node,x,y or at_s,node,x,y,z"])
+            if [column for column in columns if column != "node"] not in (["at_s", "x", "y"], ["at_s", "x", "y", "z"]):
+                raise TraceProblems(
+                    [f"{number}: the columns must be at_s,node,x,y or at_s,node,x,y,z, node perhaps not"]
+                )
             continue
         try:
             if len(stripped) != len(columns):
@@ -146,11 +150,13 @@ def _read_csv(text: str) -> dict[str, Sampled]:
 
 
 def _csv_row(row: Mapping[str, str], samples: dict[str, list[tuple[float, tuple[float, ...]]]]) -> None:
-    at_s, *place = (_finite(row[column]) for column in CSV_COLUMNS if column in row and column != "node")
-    own = samples.setdefault(row["node"], [])
+    at_s, place = _finite(row["at_s"]), tuple(_finite(row[axis]) for axis in _CSV_PLACE if axis in row)
+    name = row.get("node", ONLY_NODE)
+    own = samples.setdefault(name, [])
     if own and at_s < own[-1][0]:
-        raise ValueError(f"{at_s:g} s is before the row above of '{row['node']}'; sort the rows by time")
-    own.append((at_s, tuple(place)))
+        whose = f" of '{name}'" if name else ""
+        raise ValueError(f"{at_s:g} s is before the row above{whose}; sort the rows by time")
+    own.append((at_s, place))
 
 
 def _finite(word: str) -> float:

@@ -21,7 +21,7 @@ class Routes:
 
     ``leave`` and ``enter`` are the points of the graph by which a way leaves the edge of its beginning and comes onto
     that of its end; without meaning on one and the same edge. ``out`` and ``back`` are unit directions (P, 3) along the
-    tunnel, from either end towards the other.
+    tunnel, from either end towards the other. ``shares[k, p]`` is which part of way p lies in tunnels of section k.
     """
 
     one: Indexes
@@ -35,10 +35,18 @@ class Routes:
     height_m: Floats
     out: Floats
     back: Floats
+    shares: Floats
 
 
 def choose_routes(
-    ways: Ways, points_m: Floats, edges: Indexes, ends: Indexes, feet_m: Floats, widths_m: Floats, heights_m: Floats
+    ways: Ways,
+    points_m: Floats,
+    edges: Indexes,
+    ends: Indexes,
+    feet_m: Floats,
+    widths_m: Floats,
+    heights_m: Floats,
+    sections: Indexes,
 ) -> Routes:
     """Return the shortest way between every two of N places.
 
@@ -50,6 +58,7 @@ def choose_routes(
         feet_m: Each place's foot on it (N, 3).
         widths_m: Width of that edge's tunnel (N,).
         heights_m: Its height.
+        sections: Its section.
     """
     one, other = _pairs(len(edges))
     same_edge = edges[one] == edges[other]
@@ -83,7 +92,26 @@ def choose_routes(
         height_m=least(heights_m, ways.height_m),
         out=np.where(same_edge[:, None], unit(apart), out),
         back=np.where(same_edge[:, None], unit(-apart), back),
+        shares=_shares(
+            np.where(same_edge, 0.0, ways.section_m[:, leave, enter]),
+            (sections[one], np.where(same_edge, apart_m, to_ends_m[one, a])),
+            (sections[other], np.where(same_edge, 0.0, to_ends_m[other, b])),
+        ),
     )
+
+
+def _shares(between_m: Floats, *ends: tuple[Indexes, Floats]) -> Floats:
+    """Of each way, the part in each section: lengths between points (K, P), and what its two ends add (P,) where.
+
+    A way without length lies where it begins.
+    """
+    ways = np.arange(between_m.shape[1])
+    for section, length_m in ends:
+        between_m[section, ways] += length_m
+    total_m = between_m.sum(axis=0)
+    between_m[ends[0][0], ways] += total_m == 0.0
+    shares: Floats = between_m / np.where(total_m == 0.0, 1.0, total_m)
+    return shares
 
 
 @cache

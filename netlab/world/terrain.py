@@ -33,10 +33,12 @@ class TunnelMap:
         owners = [tunnels[number] for number in self._graph.tunnels]
         self._widths_m = np.array([tunnel.width_m for tunnel in owners])
         self._heights_m = np.array([tunnel.height_m for tunnel in owners])
+        self.sections = tuple(dict.fromkeys(tunnel.section for tunnel in owners))
+        self._section_of: Indexes = np.array([self.sections.index(tunnel.section) for tunnel in owners], dtype=np.intp)
         self._lines = CentreLines(
             points_m[self._ends[:, 0]], points_m[self._ends[:, 1]], self._widths_m, self._heights_m
         )
-        self._ways = Ways(self._graph, self._widths_m, self._heights_m)
+        self._ways = Ways(self._graph, self._widths_m, self._heights_m, self._section_of)
 
     def locate(self, position: Sequence[float]) -> Point:
         """Return a position [x, y] or [x, y, z] in space; without z it lies on the floor.
@@ -93,6 +95,8 @@ class TunnelMap:
             width_m=_both_ways(routes, routes.width_m, count, np.inf),
             height_m=_both_ways(routes, routes.height_m, count, np.inf),
             bearing_deg=bearing_deg,
+            sections=self.sections,
+            shares=_both_ways(routes, routes.shares, count, 0.0),
         )
 
     def _routes(self, places: Places) -> Routes:
@@ -105,6 +109,7 @@ class TunnelMap:
             places.feet_m,
             self._widths_m[edges],
             self._heights_m[edges],
+            self._section_of[edges],
         )
 
     def _in_sight(self, places: Places, routes: Routes) -> Flags:
@@ -139,7 +144,8 @@ class TunnelMap:
 
 
 def _both_ways(routes: Routes, values: Floats, count: int, itself: float) -> Floats:
-    matrix = np.full((count, count), itself)
-    matrix[routes.one, routes.other] = values
-    matrix[routes.other, routes.one] = values
+    """Values (..., P) of pairs as symmetric matrices (..., N, N)."""
+    matrix = np.full((*values.shape[:-1], count, count), itself)
+    matrix[..., routes.one, routes.other] = values
+    matrix[..., routes.other, routes.one] = values
     return matrix

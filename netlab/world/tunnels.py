@@ -14,6 +14,7 @@ import numpy as np
 
 from netlab.world.geometry import Floats
 from netlab.world.motion import Point
+from netlab.world.walls import Section, Walls
 
 #: Centre lines that come this close are joined; nearer points of one line are one point.
 JOINT_M = 0.5
@@ -21,12 +22,18 @@ JOINT_M = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Tunnel:
-    """A polyline of at least two points in metres, with its cross-section (both above 0)."""
+    """A polyline of at least two points in metres, with its cross-section (both above 0), and its walls if known."""
 
     name: str
     path: tuple[Point, ...]
     width_m: float
     height_m: float
+    walls: Walls | None = None
+
+    @property
+    def section(self) -> Section:
+        """What is the same all along it."""
+        return Section(self.width_m, self.height_m, self.walls)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

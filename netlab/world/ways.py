@@ -5,7 +5,10 @@ Of equally short ways the first that the tables find counts, the same one in bot
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
+from numpy.typing import NDArray
 
 from netlab.world.geometry import Floats, Indexes
 from netlab.world.tunnels import Graph
@@ -40,11 +43,11 @@ class Ways:
     """Tables [from point, to point], symmetric. ``length_m`` is inf where no way leads.
 
     ``inner_corners`` are the turns at the points strictly between. ``neighbour[a, b]`` is the first point after a on
-    the way to b, -1 where there is none.
+    the way to b, -1 where there is none. ``section_m[k]`` is how much of the way lies in tunnels of section k.
     """
 
-    def __init__(self, graph: Graph, widths_m: Floats, heights_m: Floats) -> None:
-        """``widths_m`` and ``heights_m`` belong to the graph's edges."""
+    def __init__(self, graph: Graph, widths_m: Floats, heights_m: Floats, sections: Indexes) -> None:
+        """``widths_m``, ``heights_m`` and ``sections`` (numbers from 0) belong to the graph's edges."""
         self._points_m = graph.points_m
         self.length_m, self._following = _shortest(graph)
         first, last, turns, width_m, height_m = self._along(graph, widths_m, heights_m)
@@ -53,6 +56,8 @@ class Ways:
         self.width_m = np.where(upper, width_m, width_m.T)
         self.height_m = np.where(upper, height_m, height_m.T)
         self.neighbour: Indexes = np.where(upper, first, last.T)
+        section_m = self._section_lengths(graph, sections)
+        self.section_m = np.where(upper, section_m, section_m.transpose(0, 2, 1))
 
     def points(self, a: int, b: int) -> list[int]:
         """The points of the way from a to b, both included; empty where none leads."""
@@ -83,23 +88,41 @@ class Ways:
             width_m[a, b] = width_m[b, a] = width
             height_m[a, b] = height_m[b, a] = height
         edge_width_m, edge_height_m = width_m.copy(), height_m.copy()
-        columns = np.arange(count)[None, :]
-        done = following == columns
-        last[done] = np.nonzero(done)[0]
-        open_ = (following >= 0) & ~done
-        while open_.any():
-            here, goal = np.nonzero(open_)
-            step = following[here, goal]
-            ready = done[step, goal]
-            here, goal, step = here[ready], goal[ready], step[ready]
+        direct = following == np.arange(count)
+        last[direct] = np.nonzero(direct)[0]
+        for here, goal, step in self._outwards():
             into, out = self._direction(here, step), self._direction(step, following[step, goal])
             turns[here, goal] = corners(into, out) + turns[step, goal]
             last[here, goal] = last[step, goal]
             width_m[here, goal] = np.minimum(edge_width_m[here, step], width_m[step, goal])
             height_m[here, goal] = np.minimum(edge_height_m[here, step], height_m[step, goal])
-            done[here, goal] = True
-            open_[here, goal] = False
         return following, last, turns, width_m, height_m
+
+    def _section_lengths(self, graph: Graph, sections: Indexes) -> NDArray[np.float32]:
+        count = len(graph.points_m)
+        section_of = np.zeros((count, count), dtype=np.intp)
+        lengths_m = np.zeros((int(sections.max(initial=-1)) + 1, count, count), dtype=np.float32)
+        for (a, b), section in zip(graph.ends, sections, strict=True):
+            section_of[a, b] = section_of[b, a] = section
+        here, goal = np.nonzero(self._following == np.arange(count))
+        lengths_m[section_of[here, goal], here, goal] = self.length_m[here, goal]
+        for here, goal, step in self._outwards():
+            lengths_m[:, here, goal] = lengths_m[:, step, goal]
+            lengths_m[section_of[here, step], here, goal] += self.length_m[here, step]
+        return lengths_m
+
+    def _outwards(self) -> Iterator[tuple[Indexes, Indexes, Indexes]]:
+        """All ways of more than one hop, the shorter ones first: (from, to, next point on the way)."""
+        done = self._following == np.arange(len(self._following))
+        left = (self._following >= 0) & ~done
+        while left.any():
+            here, goal = np.nonzero(left)
+            step = self._following[here, goal]
+            ready = done[step, goal]
+            here, goal, step = here[ready], goal[ready], step[ready]
+            yield here, goal, step
+            done[here, goal] = True
+            left[here, goal] = False
 
     def _direction(self, a: Indexes, b: Indexes) -> Floats:
         return unit(self._points_m[b] - self._points_m[a])

@@ -45,6 +45,8 @@ class World:
             geometry.width_m[grid],
             geometry.height_m[grid],
             geometry.bearing_deg[grid],
+            geometry.sections,
+            geometry.shares[:, grid[0], grid[1]] if geometry.sections else geometry.shares,
         )
 
 

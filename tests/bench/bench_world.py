@@ -1,7 +1,8 @@
 """What a tick of the world costs: 50 robots on the move in a mine of crossing tunnels, every pair's signal strength.
 
-Positions, geometry (ways, corners, line of sight), link budget with fading, contacts. Processor time of this process,
-so that other load on the machine counts little; the smallest of several rounds is what the work itself costs.
+Positions, geometry (ways, corners, line of sight), link budget with fading, contacts; and what a file of measured
+strengths costs in place of them. Processor time of this process, so that other load on the machine counts little; the
+smallest of several rounds is what the work itself costs.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from netlab.lab.contacts import Contacts
 from netlab.lab.motion import TICK_S
 from netlab.world.budget import LinkBudget, RadioUnit
 from netlab.world.choreography import Choreography
+from netlab.world.measured import MeasuredStrengths
 from netlab.world.motion import Motion, Walk, Waypoint
 from netlab.world.propagation.registry import model_class
 from netlab.world.terrain import TunnelMap
@@ -57,6 +59,17 @@ def cost_s(work: Callable[[float], object]) -> float:
     return min(rounds)
 
 
+def walk(rng: random.Random) -> MeasuredStrengths:
+    """Every pair measured once a second, instead of the link budget."""
+    samples = {
+        (one, other): [(float(at_s), rng.uniform(-95, -40)) for at_s in range(60)]
+        for one in range(ROBOTS)
+        for other in range(ROBOTS)
+        if one != other
+    }
+    return MeasuredStrengths(np.full((ROBOTS, ROBOTS), -np.inf), samples, interpolate=True)
+
+
 def main() -> None:
     """Measure and print."""
     terrain = mine()
@@ -80,6 +93,7 @@ def main() -> None:
         "positions": cost_s(world.moment),
         "geometry": cost_s(lambda _at_s: world.geometry(moment, budget.node_of_radio)),
         "link budget": cost_s(lambda at_s: budget.rssi_dbm(moment, geometry, at_s)),
+        "measured": cost_s(walk(random.Random(2)).rssi_dbm),
         "contacts": cost_s(lambda at_s: contacts.update(rssi_dbm - _NOISE_DBM >= _LEAST_SNR_DB, at_s)),
         "all": cost_s(tick),
     }

@@ -105,10 +105,10 @@ def acts(matrices: list[np.ndarray], held: Held, mesh: str = "none") -> list[dic
         }
     )
     plan, notes = compile_plan(scenario), Notes()
-    watch = ContactWatch(scenario, plan, plan.segments[0], held, notes)
+    watch = ContactWatch(scenario, plan, plan.segments, held, notes)
     for number, matrix in enumerate(matrices):
         for tick in range(40):
-            watch.update(matrix, 2.0 * number + tick * TICK_S)
+            watch.update([matrix], 2.0 * number + tick * TICK_S)
     assert watch.is_made("a", "b") is bool(matrices[-1][0, 1])
     return notes.acts
 

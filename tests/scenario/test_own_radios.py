@@ -11,6 +11,7 @@ from netlab.errors import ScenarioError
 from netlab.lab.links import Links
 from netlab.scenario import Scenario, parse_scenario
 from netlab.timeline import SetOutage, compile_timeline
+from netlab.world.antenna import omni
 
 RADIO = {"phy": "802.11g-20MHz", "rate": "6mbit", "noise": "-90dBm", "propagation": {"model": "free_space"}}
 FAST = {"frequency": "5.18GHz", "phy": "802.11n-20MHz-2x2"}
@@ -42,6 +43,17 @@ def test_what_is_left_out_is_as_in_the_scenarios_block() -> None:
     first, second = checked.radios("d")
     assert first == checked.radios("b")[0]
     assert (second.phy, second.rate_bps, second.frequency_hz) == ("802.11n-20MHz-2x2", None, 5.18e9)
+
+
+def test_an_antenna_is_named_by_its_gain_or_in_full_and_a_nodes_own_wins() -> None:
+    sector = {"gain": "9dBi", "beamwidth": "60deg"}
+    nodes = {"a": {"radio": {"antenna": sector}}, "b": {"radio": {"antenna_gain": "7dBi"}}, "c": {}}
+    checked = scenario(nodes, radio={**RADIO, "antenna_gain": "5dBi"})
+    assert [checked.radios(name)[0].antenna.gain_dbi for name in "abc"] == [9.0, 7.0, 5.0]
+    assert [checked.radios(name)[0].antenna.beamwidth_deg for name in "abc"] == [60.0, None, None]
+    assert checked.radios("b")[0].antenna.antenna() == omni(7.0)
+    [problem] = problems({"a": {"radio": {"antenna": "omni", "antenna_gain": "3dBi"}}})
+    assert "nodes.a.radio: antenna says all about it; put the gain there, or remove antenna_gain" in problem
 
 
 def test_every_frequency_is_a_channel_with_a_subnet_of_its_own() -> None:

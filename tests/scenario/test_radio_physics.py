@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
+from netlab.errors import ScenarioError
+from netlab.scenario import parse_scenario
 from netlab.scenario.radio_physics import (
     MODEL_NAMES,
     AntennaWords,
@@ -16,6 +18,7 @@ from netlab.scenario.schema import json_schema
 from netlab.world.antenna import omni, sector, table
 from netlab.world.propagation.registry import MODELS
 from netlab.world.propagation.tunnel import Tunnel
+from netlab.world.walls import MATERIALS, Walls
 
 
 def complaint(value: object) -> str:
@@ -44,14 +47,37 @@ def test_a_block_becomes_its_model() -> None:
         propagation_model({"model": "free_space", "corner_loss": "17dB"})
 
 
+TUNNELS = "terrain: {tunnels: [{name: a, path: [[0, 0], [90, 0]], width: 4m, material: limestone}]}\n"
+
+
+def test_a_tunnel_has_a_material_by_name_or_by_its_properties() -> None:
+    text = "duration: 1s\nnodes: {a: }\n" + TUNNELS
+    assert parse_scenario(text).terrain.tunnel_map.tunnels[0].walls == MATERIALS["limestone"]
+    block = text.replace("limestone", "{permittivity: 7, roughness: 20cm, tilt: 0deg}")
+    assert parse_scenario(block).terrain.tunnel_map.tunnels[0].walls == Walls(7.0, 0.2, 0.0)
+    radio = "radio: {phy: subt, propagation: {model: tunnel, walls: concrete}}\n"
+    assert parse_scenario(text + radio).radio.propagation.physics.walls.walls == MATERIALS["concrete"]
+
+
+def test_a_material_that_the_model_does_not_know_is_refused() -> None:
+    text = "duration: 1s\nnodes: {a: }\nradio: {phy: subt, propagation: {model: subt}}\n" + TUNNELS
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text, name="s.yaml")
+    [problem] = caught.value.problems
+    assert problem == (
+        "s.yaml:4: terrain.tunnels[0].material: propagation model subt does not know what tunnels are made of; "
+        "use model: tunnel, or remove material"
+    )
+
+
 def test_the_schema_has_every_model_with_its_words() -> None:
     schema = json_schema()
     blocks = schema["$defs"]["Propagation"]["anyOf"]
     words = {block["properties"]["model"].get("const"): block["properties"] for block in blocks}
     assert set(MODEL_NAMES) <= set(words)
     assert "corner_loss" in words["tunnel"]
-    assert "$defs/Walls" in str(words["tunnel"]["walls"])
-    assert "Walls" in schema["$defs"]
+    assert "$defs/WallWords" in str(words["tunnel"]["walls"])
+    assert "WallWords" in schema["$defs"]
 
 
 @pytest.mark.parametrize(

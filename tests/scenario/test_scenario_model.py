@@ -6,7 +6,6 @@ import pytest
 
 from netlab.errors import ScenarioError
 from netlab.scenario import Scenario, load_scenario, parse_scenario
-from netlab.scenario.link_trace import parse_link_trace
 from netlab.scenario.links import Wire
 
 NODES = {"a": {"processes": ["udp_mesh"]}, "b": {"processes": ["udp_mesh"]}, "c": {"processes": ["udp_mesh"]}}
@@ -151,15 +150,6 @@ def test_a_wrong_csv_trace_names_its_own_lines(tmp_path: Path) -> None:
     assert caught.value.problems == [f"{where}:2: node 'z' is not defined; nodes are a, b"]
 
 
-def test_a_csv_trace_is_read_by_time_with_units_converted() -> None:
-    trace = parse_link_trace(
-        "t.csv", "# measured\nat_s,from,to,loss_percent,delay_ms,rate_mbit\n5,b,a,,2.5,\n1.5,a,b,10,,6\n"
-    )
-    first, second = trace.rows
-    assert (first.at_s, first.sender, first.receiver, first.loss_ratio, first.rate_bps) == (1.5, "a", "b", 0.1, 6e6)
-    assert (second.delay_s, second.loss_ratio, second.line) == (0.0025, None, 3)
-
-
 @pytest.mark.parametrize(
     ("radio", "expected"),
     [
@@ -216,8 +206,8 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
             {
                 "duration": "1s",
                 "rose": {},
-                "radio": {"propagation": {"model": "table", "path_loss": "x.csv"}},
-                "nodes": {"a": {"motion": "a.csv"}, "b": {}},
+                "engine": "sim",
+                "nodes": {"a": {"rose": {}}, "b": {}},
             }
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]

@@ -85,6 +85,63 @@ def test_motion_of_other_programs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("motion", "text"),
+    [
+        ("{file: m.csv}", "at_s,x,y\n0,1,1\n10,11,1\n"),
+        ("{file: m.csv, node: husky}", "at_s,node,x,y\n0,husky,1,1\n0,spot,9,9\n10,husky,11,1\n"),
+        ("{file: m.movements, node: 1}", "0 9 9\n0 1 1 10 11 1\n"),
+        ("{file: m.tcl}", '$node_(0) set X_ 1\n$node_(0) set Y_ 1\n$ns_ at 0 "$node_(0) setdest 11 1 1"\n'),
+    ],
+)
+def test_a_node_has_a_motion_file_of_its_own_beside_a_common_one(tmp_path: Path, motion: str, text: str) -> None:
+    (tmp_path / motion.removeprefix("{file: ").rstrip("}").partition(",")[0]).write_text(text)
+    (tmp_path / "all.csv").write_text("at_s,node,x,y\n0,b,7,7\n")
+    source = f"duration: 9s\nmotion: {{file: all.csv}}\nnodes: {{a: {{motion: {motion}}}, b: }}"
+    assert track_of(source, "a", directory=tmp_path).at(5).position_m == (6, 1, 0)
+    assert track_of(source, "b", directory=tmp_path).at(5).position_m == (7, 7, 0)
+
+
+@pytest.mark.parametrize(
+    ("node", "text", "expected"),
+    [
+        ("motion: {file: m.csv}", "at_s,x,y\n1,0,0\n0,1,1\n", "nodes.r.motion: m.csv:3: 0 s is before the row above;"),
+        ("motion: {file: m.csv}", "at_s,x\n1,0\n", "nodes.r.motion: m.csv:1: the columns must be at_s,node,x,y or"),
+        (
+            "motion: {file: m.csv}",
+            "at_s,node,x,y\n0,p,0,0\n0,q,0,0\n",
+            "nodes.r.motion: 'm.csv' has 2 nodes; add node: with one of p, q",
+        ),
+        ("motion: {file: m.csv, node: 3}", "at_s,x,y\n", "nodes.r.motion: 'm.csv' says nothing of any node"),
+        (
+            "motion: {file: m.csv, node: z}",
+            "at_s,node,x,y\n0,p,0,0\n",
+            "nodes.r.motion: 'm.csv' has no node 'z'; it has p",
+        ),
+        (
+            "motion: {file: m.csv}, position: [0, 0]",
+            "at_s,x,y\n0,0,0\n",
+            "nodes.r: position means nothing beside motion; remove one of the two",
+        ),
+        (
+            "motion: {file: m.csv}",
+            "at_s,x,y\n0,0,0\n4,60,30\n",
+            "nodes.r.motion.file: m.csv: at 4 s: [60, 30] lies in the rock; the nearest tunnel is 'adit'",
+        ),
+    ],
+)
+def test_wrong_motion_of_one_node(tmp_path: Path, node: str, text: str, expected: str) -> None:
+    (tmp_path / "m.csv").write_text(text)
+    [problem] = problems(TERRAIN + f"nodes: {{r: {{{node}}}}}", directory=tmp_path)
+    assert problem.startswith(f"s.yaml:6: {expected}")
+
+
+def test_a_common_motion_file_names_its_nodes(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("at_s,x,y\n0,1,1\n")
+    [problem] = problems("duration: 9s\nmotion: {file: m.csv}\nnodes: {a: }", directory=tmp_path)
+    assert problem.startswith("s.yaml:2: motion: 'm.csv' does not say whose motion it is; add a column node")
+
+
+@pytest.mark.parametrize(
     ("nodes", "expected"),
     [
         (
@@ -141,7 +198,14 @@ def test_tunnels_that_do_not_meet_are_told_by_the_way_that_is_missing() -> None:
         ("{name: a, path: [[0, 0], [9, 0]], width: 4}", "tunnels[0].width: 4 has no unit; write a length like 4m"),
         ("{name: a, path: [[0, 0], [9, 0]], width: 0m}", "tunnels[0].width: '0m' is impossible; it must be above zero"),
         ("{name: a, path: [[0, 0], [9, 0]]}", "tunnels[0].width: is missing; add it"),
-        ("{name: a, path: [[0, 0], [9, 0]], width: 4m, material: coal}", "tunnels[0].material: is not available yet"),
+        (
+            "{name: a, path: [[0, 0], [9, 0]], width: 4m, material: limstone}",
+            "tunnels[0].material: unknown material 'limstone'; did you mean 'limestone'?",
+        ),
+        (
+            "{name: a, path: [[0, 0], [9, 0]], width: 4m, material: {permittivity: 1}}",
+            "tunnels[0].material.permittivity: '1' is impossible; it must be above 1",
+        ),
     ],
 )
 def test_wrong_tunnels(tunnels: str, expected: str) -> None:

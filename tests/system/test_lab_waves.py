@@ -9,6 +9,7 @@ import yaml
 
 from netlab.capture.reader import Capture
 from netlab.capture.records import JsonRecord, Kind, VerdictRecord
+from netlab.errors import LabError
 from netlab.lab.facade import Lab
 from netlab.medium.verdicts import Verdict
 from netlab.pytest_plugin import MakeLab
@@ -40,6 +41,8 @@ def test_a_robot_drives_out_of_range(make_lab: MakeLab) -> None:
     lab = make_lab(yaml.safe_load(SCENARIO))
     assert lab.exec("robot", "ping", "-c1", "-W2", "base").returncode == 0
     assert lab.exec("far", "ping", "-c1", "-W1", "base").returncode != 0
+    with pytest.raises(LabError, match="rssi follows places, or a measured file, here; move a node, or set loss"):
+        lab.link("base", "robot", rssi="-50dBm")
     result = lab.run()
     assert not result.problems
     _assert_strengths_follow_the_robot(lab)

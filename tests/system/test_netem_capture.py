@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -255,3 +256,21 @@ def test_the_report_tells_full_queues_outages_and_losses_apart(measured: Measure
     assert damaging["lost"] == damaging["queue_full"] == 0
     assert near(damaging["corrupted"], len(crossing.missing(crossing.sent_ns)))
     assert near(damaging["duplicated"], sum(len(arrivals) - 1 for arrivals in crossing.arrived_ns.values()))
+
+
+def test_on_a_perfect_radio_every_frame_is_delivered(tmp_path: Path) -> None:
+    """It takes no time there: the receiver's packet may be recorded before the sender's."""
+    node = {"processes": ["udp_mesh"]}
+    scenario = {
+        "name": "perfect",
+        "duration": "3s",
+        "radio": {"propagation": {"model": "none"}},
+        "nodes": {"a": node, "b": node, "c": node},
+        "traffic": [{"from": "a", "to": "b", "topic": "t", "size": "200B", "rate": "20Hz"}],
+    }
+    with Lab(scenario, engine="netem", capture=tmp_path / "perfect.mcap") as lab:
+        result = lab.run()
+    assert len(result.summary["links"]) == 6
+    for row in result.summary["links"]:
+        assert row["delivered"] == row["frames"] > 0, row
+        assert row["loss_ratio"] == row["duplicated"] == 0, row

@@ -205,7 +205,32 @@ def test_a_radio_trace_sets_the_start_and_changes_pairs_over_time(tmp_path: Path
         (9.0, SetPairs({(0, 1): None})),
         (10.0, SetPairs({(0, 1): Impairment(jitter_s=0.001, loss=RandomLoss(0.05), delay_s=0.003, rate_bps=6e6)})),
     ]
-    assert entries[0].label == "radio trace: 2 pairs"
+    assert [entry.label for entry in entries[:2]] == ["radio trace: a and b hear each other", "radio trace: 1 pair"]
+
+
+def test_who_comes_back_into_range_by_a_trace_is_restored(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(
+        "at_s,a,b,loss_percent\n0,a,b,0\n0,a,c,0\n5,a,b,100\n5,a,c,50\n9,a,b,3\n9,a,c,5\n12,a,b,100\n20,a,b,0\n"
+    )
+    source = {
+        "duration": "60s",
+        "nodes": {"a": {}, "b": {}, "c": {}},
+        "radio": {"propagation": {"model": "table", "file": "t.csv"}},
+        "events": [
+            {"at": "13s", "outage": {"between": ["a", "b"], "for": "2s"}},  # ends while they are out of range
+            {"at": "18s", "outage": {"between": ["a", "b"], "for": "4s"}},
+        ],
+    }
+    scenario = parse_scenario(source, directory=tmp_path)
+    entries = compile_timeline(scenario, compile_plan(scenario))
+    assert [(entry.at_s, entry.label, entry.restores) for entry in entries if entry.at_s in (5, 9, 15, 20, 22)] == [
+        (5.0, "radio trace: 4 pairs", None),
+        (9.0, "radio trace: a and b hear each other", ("a", "b")),
+        (9.0, "radio trace: 2 pairs", None),
+        (15.0, "outage a-b ends", None),
+        (20.0, "radio trace: 2 pairs", None),
+        (22.0, "outage a-b ends", ("a", "b")),
+    ]
 
 
 _CUT = st.tuples(

@@ -20,16 +20,16 @@ class Air:
     def __init__(self) -> None:
         self.links = PacketLinks({mac: (node, "eth0") for node, mac in MACS.items()})
 
-    def send(self, sender: str, target: str, *receivers: str, copies: int = 1) -> None:
+    def send(self, sender: str, target: str, *receivers: str, copies: int = 1, t_ns: int = 0) -> None:
         destination = MACS.get(target, b"\xff" * 6)
         frame = destination + MACS[sender] + b"\x08\x00" + b"%040d" % next(SERIAL)
-        self.see(sender, frame, Direction.OUTBOUND)
+        self.see(sender, frame, Direction.OUTBOUND, t_ns)
         for receiver in receivers:
             for _ in range(copies):
-                self.see(receiver, frame, Direction.INBOUND)
+                self.see(receiver, frame, Direction.INBOUND, t_ns)
 
-    def see(self, node: str, frame: bytes, direction: Direction) -> None:
-        self.links.packet(PacketRecord(0, node, "eth0", direction, 1, len(frame), zlib.crc32(frame), frame))
+    def see(self, node: str, frame: bytes, direction: Direction, t_ns: int = 0) -> None:
+        self.links.packet(PacketRecord(t_ns, node, "eth0", direction, 1, len(frame), zlib.crc32(frame), frame))
 
     def state(self, pair: str, state: str, counts: KernelCounts | None = None, *, corrupts: bool = False) -> None:
         ends = (pair[0], "eth0"), (pair[1], "eth0")
@@ -55,6 +55,20 @@ def test_unicast_frames_count_for_their_addressee_only(air: Air) -> None:
     air.send("a", "b", "b", "c")  # c overhears it
     air.send("a", "b")
     assert air.told() == {"ab": (2, {Verdict.DELIVERED: 1}, 1)}
+
+
+def test_an_arrival_in_the_instant_of_its_departure_may_be_recorded_first(air: Air) -> None:
+    frame = MACS["b"] + MACS["a"] + b"\x08\x00now"
+    for node, direction in ("bI", "bI", "aO", "aO", "bI"):
+        air.see(node, frame, Direction.OUTBOUND if direction == "O" else Direction.INBOUND)
+    assert air.told() == {"ab": (3, {Verdict.DELIVERED: 2, Verdict.DUPLICATED: 1}, 0)}
+
+
+def test_an_arrival_before_the_instant_of_its_departure_is_another_frames(air: Air) -> None:
+    frame = MACS["b"] + MACS["a"] + b"\x08\x00now"
+    air.see("b", frame, Direction.INBOUND, t_ns=1)
+    air.see("a", frame, Direction.OUTBOUND, t_ns=2)
+    assert air.told() == {"ab": (1, {}, 1)}
 
 
 def test_group_frames_count_for_everybody_who_ever_heard_the_sender(air: Air) -> None:
@@ -143,10 +157,11 @@ def test_what_arrives_all_the_same_was_sent_in_the_instant_of_the_change(air: Ai
 
 def test_frames_that_nobody_sent_are_corrupted_ones_where_frames_are_corrupted(air: Air) -> None:
     changed = MACS["b"] + MACS["a"] + b"\x08\x00" + bytes(40)
-    for corrupts in (False, True):
+    for t_ns, corrupts in enumerate((False, True)):
+        air.see("b", b"", Direction.INBOUND, t_ns=t_ns)
         air.state("ab", "up", NOTHING_YET, corrupts=corrupts)
-        air.send("a", "b")
-        air.see("b", changed, Direction.INBOUND)
+        air.send("a", "b", t_ns=t_ns)
+        air.see("b", changed, Direction.INBOUND, t_ns=t_ns)
     air.state("ab", "up", KernelCounts(0, 0, 0))
     assert air.told() == {"ab": (2, {Verdict.CORRUPTED: 1, Verdict.LOST: 1}, 0)}
 

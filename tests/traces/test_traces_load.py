@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import struct
-import zlib
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from netlab.capture.schemas import Direction, encode_packet, encode_packet_names, encode_verdict, encode_verdict_ends
+from netlab.capture.schemas import Direction
 from netlab.capture.topics import Topics
 from netlab.capture.writer import CaptureWriter
 from netlab.cli.inspect import inspect
@@ -21,70 +19,8 @@ from netlab.traces.load import load_trace
 from netlab.traces.model import Trace
 from netlab.traces.retransmissions import retransmissions
 from netlab.traces.streams import stream_report
+from tests.traces.captures import PORTS, STREAMS, T0_NS, Writer, data, frame
 from udp_mesh.core import wire
-
-T0_NS = 1_800_000_000_000_000_000
-EPOCHS = {"a": 7 << 32 | 0xA, "b": 9 << 32 | 0xB}
-STREAMS = [
-    {"stream": 0, "source": "a", "destination": "b", "topic": "telemetry", "priority": 1, "keep": "all"},
-    {"stream": 1, "source": "a", "destination": "b", "topic": "bulk", "priority": 9, "keep": "latest"},
-]
-PORTS = [
-    {"node": "a", "interface": "eth0", "address": "10.1.0.1/24", "rate_bps": 1e7},
-    {"node": "b", "interface": "eth0", "address": "10.1.0.2/24", "rate_bps": None},
-]
-
-
-def frame(sender: str, body: bytes, *, number: int, broadcast: bool = False) -> bytes:
-    receiver = "b" if sender == "a" else "a"
-    tag, flags = (0, wire.FLAG_UNNUMBERED) if broadcast else (wire.tag_of(EPOCHS[receiver]), 0)
-    payload = wire.encode_header(epoch=EPOCHS[sender], destination_tag=tag, packet_number=number, flags=flags) + body
-    ends = bytes([10, 1, 0, 1, 10, 1, 0, 2]) if sender == "a" else bytes([10, 1, 0, 2, 10, 1, 0, 1])
-    udp = struct.pack("!HHHH", 8700, 8700, 8 + len(payload), 0) + payload
-    return bytes(12) + b"\x08\x00" + struct.pack("!BBHHHBBH", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + ends + udp
-
-
-def data(stream: int, seq: int, *, message_id: int, index: int = 0, count: int = 1) -> bytes:
-    topic, priority = STREAMS[stream]["topic"], STREAMS[stream]["priority"]
-    payload = struct.pack("<4sHIQ", b"NLT1", stream, seq, T0_NS) + bytes(100) if index == 0 else bytes(118)
-    head = wire.encode_data_header(
-        message_id=message_id,
-        priority=int(str(priority)),
-        index=index,
-        count=count,
-        payload_bytes=len(payload),
-        topic=str(topic).encode(),
-    )
-    return head + payload
-
-
-class Writer:
-    def __init__(self, path: Path, metadata: dict[str, str] | None = None) -> None:
-        self.path, self.writer = path, CaptureWriter(path)
-        self.topics = Topics(self.writer)
-        base = {"name": "pair", "t0_ns": str(T0_NS), "duration_s": "2.0"}
-        told = {"streams": json.dumps(STREAMS), "ports": json.dumps(PORTS)}
-        self.writer.add_metadata("netlab.run", base | told | (metadata or {}))
-
-    def packet(self, node: str, at_s: float, content: bytes, direction: Direction) -> None:
-        channel, linktype = self.topics.packets(node, "eth0", 1)
-        names, crc = encode_packet_names(node, "eth0"), zlib.crc32(content)
-        head = encode_packet(crc, len(content), linktype, direction, names, len(content))
-        t_ns = T0_NS + round(at_s * 1e9)
-        self.writer.add_message(channel, t_ns, t_ns, head, content)
-
-    def crossing(self, at_s: float, content: bytes, verdict: Verdict = Verdict.DELIVERED) -> None:
-        self.packet("a", at_s, content, Direction.OUTBOUND)
-        t_ns = T0_NS + round(at_s * 1e9)
-        ends = encode_verdict_ends(("a", "eth0"), ("b", "eth0"))
-        body = encode_verdict(ends, verdict, 0, len(content), zlib.crc32(content))
-        self.writer.add_message(self.topics.verdicts(), t_ns, t_ns, body)
-        if verdict is Verdict.DELIVERED:
-            self.packet("b", at_s + 0.02, content, Direction.INBOUND)
-
-    def json(self, topic: str, at_s: float, /, **payload: object) -> None:
-        t_ns = T0_NS + round(at_s * 1e9)
-        self.topics.add_json(topic, {"t_ns": t_ns, **payload}, t_ns)
 
 
 @pytest.fixture

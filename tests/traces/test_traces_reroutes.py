@@ -37,7 +37,15 @@ def test_the_gap_begins_at_the_cut_and_ends_with_a_message_published_since(story
     carry(story, 3, (5.02, 7.2))
     (entry,) = reroutes(story.trace)
     assert (entry.between, entry.cut_at_s) == (("a", "b"), 5.0)
-    assert entry.delay_s == pytest.approx(2.5), "the slowest of the three streams"
+    assert entry.delay_s == pytest.approx(2.2), "the way back; of the way there the sooner stream counts"
+
+
+def test_a_stream_that_sends_seldom_hides_no_way_that_another_shows(story: Any) -> None:
+    cut(story, 5.0)
+    carry(story, 0, (5.1, 5.2))
+    carry(story, 3, (5.1, 5.3))
+    carry(story, 1, (25.0, 25.1))
+    assert [entry.delay_s for entry in reroutes(story.trace)] == [pytest.approx(0.3)]
 
 
 def test_a_direction_that_never_carries_again_is_no_reroute(story: Any) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from udp_mesh.core.events import MessageHeld, MessageReleased
 from udp_mesh.core.settings import Keep, TopicPolicy
 
 
@@ -81,3 +82,17 @@ def test_a_pause_earns_no_burst(make_net: Any, pause_s: float) -> None:
         net.publish("a", "video", b"x", "b")
     net.run(1.05)
     assert len(net.delivered("b")) == 1 + 5
+
+
+def test_events_say_what_is_held_and_for_how_long(make_net: Any) -> None:
+    net = pair(make_net, TopicPolicy(rate_limit_hz=2.0))
+    for number in range(3):
+        net.publish("a", "video", bytes([number]), "b")
+    net.publish("a", "log", b"no limit", "b")
+    net.run(2.0)
+    held = net.of("a", MessageHeld)
+    released = net.of("a", MessageReleased)
+    assert [event.message_id for event in held] == [event.message_id for event in released]
+    assert len(held) == 2, "the first leaves at once, the other topic has no limit"
+    assert {event.topic for event in held} == {"video"}
+    assert [event.held_s for event in released] == pytest.approx([0.5, 1.0], abs=0.03)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from itertools import pairwise
 
 import pytest
 
@@ -128,6 +129,26 @@ def test_who_has_not_acknowledged_gets_it_again_and_only_he(make_mesh_net) -> No
     data = wire.decode(retries[0][14:])
     assert isinstance(data, wire.Data)
     assert data.attempt == 1
+
+
+def test_the_next_hops_of_one_frame_answer_one_after_the_other(make_mesh_net) -> None:
+    """They hear the sender and not each other, so that no carrier sense keeps their answers apart."""
+    net = star(make_mesh_net)
+    for name in "rtu":
+        join(net, name)
+    net.run(1.0)
+    before = {name: len(net.stations[name].sent) for name in "rtu"}
+    net.send("s", GROUP, b"to three")
+    net.run(0.01)
+    answers = sorted(
+        at_s
+        for name, count in before.items()
+        for at_s, outgoing in net.stations[name].sent[count:]
+        if outgoing.frame[14] == wire.ACK
+    )
+    assert len(answers) == 3
+    assert [later - earlier for earlier, later in pairwise(answers)] == pytest.approx([0.0005, 0.0005])
+    assert net.counts("s")["retried"] == 0
 
 
 def test_multicast_over_hops_branches_where_paths_part(make_mesh_net) -> None:

@@ -18,13 +18,23 @@ from netlab.world.propagation.log_distance import LogDistance
 from netlab.world.propagation.model import SPEED_OF_LIGHT_MPS, PropagationModel
 from netlab.world.propagation.registry import MODELS, model_class
 from netlab.world.propagation.subt import Subt
-from netlab.world.propagation.tunnel import Tunnel, Walls
+from netlab.world.propagation.tunnel import Tunnel
+from netlab.world.walls import MATERIALS, Section, Walls
 
 WIFI_HZ = 2.437e9
 
 
-def way(distance_m: float, *, corners: float = 0.0, width_m: float = 4.0, height_m: float | None = None) -> Geometry:
-    """Two radios and the way between them."""
+def way(
+    distance_m: float,
+    *,
+    corners: float = 0.0,
+    width_m: float = 4.0,
+    height_m: float | None = None,
+    sections: dict[Section, float] | None = None,
+) -> Geometry:
+    """Two radios and the way between them, by default all in one kind of tunnel without known walls."""
+    height_m = width_m if height_m is None else height_m
+    parts = sections or {Section(width_m, height_m): 1.0}
 
     def both(value: float) -> np.ndarray:
         return np.array([[0.0, value], [value, 0.0]])
@@ -34,8 +44,10 @@ def way(distance_m: float, *, corners: float = 0.0, width_m: float = 4.0, height
         corners=both(corners),
         line_of_sight=np.full((2, 2), corners == 0),
         width_m=np.full((2, 2), width_m),
-        height_m=np.full((2, 2), width_m if height_m is None else height_m),
+        height_m=np.full((2, 2), height_m),
         bearing_deg=np.zeros((2, 2)),
+        sections=tuple(parts),
+        shares=np.array([both(share) for share in parts.values()]),
     )
 
 
@@ -78,16 +90,16 @@ def test_log_distance_starts_from_free_space_and_counts_corners() -> None:
 @pytest.mark.parametrize(("frequency_mhz", "per_100_m_db"), [(455, 9.5), (900, 6.0), (2400, 10.8), (5800, 25.0)])
 def test_the_walls_attenuate_as_emslies_table(frequency_mhz: float, per_100_m_db: float) -> None:
     """Emslie, Lagace and Strong 1975, for a tunnel of 5 m by 3 m: least near 900 MHz."""
-    decay = Walls().attenuation_db_per_m(np.array(5.0), np.array(3.0), frequency_mhz * 1e6)
-    assert float(decay) * 100 == pytest.approx(per_100_m_db, rel=0.03)
+    decay = MATERIALS["coal"].attenuation_db_per_m(5.0, 3.0, wavelength_m=SPEED_OF_LIGHT_MPS / frequency_mhz / 1e6)
+    assert decay * 100 == pytest.approx(per_100_m_db, rel=0.03)
 
 
 def test_refraction_alone_falls_with_the_square_of_the_frequency() -> None:
-    smooth = Walls.model_validate({"roughness": "0m", "tilt": "0deg"})
-    low, high = (float(smooth.attenuation_db_per_m(np.array(4.0), np.array(3.0), f)) for f in (1e9, 2e9))
+    smooth = Walls(10.0, roughness_m=0.0, tilt_deg=0.0)
+    low, high = (smooth.attenuation_db_per_m(4.0, 3.0, wavelength_m=length_m) for length_m in (0.3, 0.15))
     assert low / high == pytest.approx(4.0)
     # 4.343 wavelength^2 (K / (w^3 sqrt(K - 1)) + 1 / (h^3 sqrt(K - 1))), K = 10
-    assert low == pytest.approx(4.343 * 0.29979**2 * (10 / (64 * 3) + 1 / (27 * 3)), rel=1e-3)
+    assert low == pytest.approx(4.343 * 0.3**2 * (10 / (64 * 3) + 1 / (27 * 3)), rel=1e-3)
 
 
 def test_a_tunnel_is_free_space_up_to_its_breakpoint_and_slow_beyond() -> None:
@@ -107,9 +119,34 @@ def test_the_breakpoint_goes_by_the_larger_side_or_is_given() -> None:
 
 def test_a_tunnel_with_walls_decays_by_the_metre() -> None:
     model = Tunnel.model_validate({"walls": {}, "breakpoint": "50m"})
-    decay = float(Walls().attenuation_db_per_m(np.array(5.0), np.array(3.0), WIFI_HZ))
+    decay = Walls().attenuation_db_per_m(5.0, 3.0, wavelength_m=SPEED_OF_LIGHT_MPS / WIFI_HZ)
     got = loss_db(model, way(150.0, width_m=5.0, height_m=3.0))
     assert got == pytest.approx(loss_db(FreeSpace(), way(50.0)) + 100 * decay)
+
+
+def test_each_tunnel_on_the_way_attenuates_its_own_part() -> None:
+    """50 m of 150 m are free space; a third of the other 100 m is a coal mine, two thirds a lined passage."""
+    coal, lined = Section(5.0, 3.0, MATERIALS["coal"]), Section(3.0, 3.0, MATERIALS["concrete"])
+    per_m = [
+        kind.walls.attenuation_db_per_m(kind.width_m, kind.height_m, wavelength_m=SPEED_OF_LIGHT_MPS / WIFI_HZ)
+        for kind in (coal, lined)
+        if kind.walls
+    ]
+    got = loss_db(Tunnel.model_validate({"breakpoint": "50m"}), way(150.0, sections={coal: 1 / 3, lined: 2 / 3}))
+    assert got == pytest.approx(loss_db(FreeSpace(), way(50.0)) + 100 / 3 * per_m[0] + 200 / 3 * per_m[1])
+
+
+def test_tunnels_without_a_material_keep_the_slope_or_get_the_models_walls() -> None:
+    plain, coal = Section(4.0, 4.0), Section(4.0, 4.0, MATERIALS["coal"])
+    mixed = way(450.0, sections={plain: 0.5, coal: 0.5})
+    decay = MATERIALS["coal"].attenuation_db_per_m(4.0, 4.0, wavelength_m=SPEED_OF_LIGHT_MPS / WIFI_HZ)
+    slope = Tunnel.model_validate({"breakpoint": "50m"})
+    near = loss_db(FreeSpace(), way(50.0))
+    assert loss_db(slope, mixed) == pytest.approx(near + 12.5 * math.log10(1 + 200 / 50) + 200 * decay)
+    walled = Tunnel.model_validate({"breakpoint": "50m", "walls": "brick"})
+    lined = MATERIALS["brick"].attenuation_db_per_m(4.0, 4.0, wavelength_m=SPEED_OF_LIGHT_MPS / WIFI_HZ)
+    assert loss_db(walled, mixed) == pytest.approx(near + 200 * lined + 200 * decay)
+    assert loss_db(walled, way(450.0)) == pytest.approx(near + 400 * lined)
 
 
 def test_corners_cost_their_loss() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import random
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from netlab.world.geometry import Geometry
 from netlab.world.motion import OffTunnel
 from netlab.world.terrain import TunnelMap
 from netlab.world.tunnels import Tunnel, join_tunnels
+from netlab.world.walls import MATERIALS
 from netlab.world.world import open_field
 
 
@@ -50,6 +53,50 @@ def test_a_turn_counts_by_its_angle(turn_deg: float, corners: float) -> None:
     end = (100 + 50 * math.cos(math.radians(turn_deg)), 50 * math.sin(math.radians(turn_deg)))
     terrain = TunnelMap([tunnel("bend", (0, 0), (100, 0), end)])
     assert of(terrain, (0, 0), end).corners[0, 1] == pytest.approx(corners)
+
+
+def test_each_kind_of_tunnel_has_its_share_of_the_way() -> None:
+    coal = Tunnel("c", ((120, 80, 0), (160, 80, 0)), 3.0, 3.0, MATERIALS["coal"])
+    again = Tunnel("again", ((160, 80, 0), (160, 0, 0)), 4.0, 3.0)  # of the same kind as the adit
+    terrain = TunnelMap([ADIT, DRIFT, coal, again])
+    geometry = of(terrain, (100, 0), (160, 60), (20, 0))
+    assert geometry.sections == (ADIT.section, DRIFT.section, coal.section)
+    # from x = 100 m: 20 m of the adit, 80 m of the drift, 40 m of coal, 20 m of another tunnel like the adit
+    assert geometry.shares[:, 0, 1] == pytest.approx([40 / 160, 80 / 160, 40 / 160])
+    assert geometry.shares[:, 1, 0] == pytest.approx([40 / 160, 80 / 160, 40 / 160])
+    assert geometry.shares[:, 0, 2] == pytest.approx([1, 0, 0])
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 3)), min_size=2, max_size=5), st.integers(0, 2**16))
+def test_the_shares_of_any_way_are_those_of_its_pieces(places: list[tuple[float, int]], seed: int) -> None:
+    """Against the way's own points: each piece lies in the tunnel that has its middle."""
+    rng = random.Random(seed)
+    kinds = [tunnel("a", (0, 0), (60, 0)), tunnel("b", (60, 0), (60, 50), width_m=3.0)]
+    kinds += [tunnel("c", (60, 50), (0, 40), width_m=2.0), tunnel("d", (0, 40), (0, 0), width_m=5.0)]
+    rng.shuffle(kinds)
+    terrain = TunnelMap(kinds)
+    points = []
+    for share, which in places:
+        p, q = kinds[which].path
+        points.append(tuple(p[axis] + share * (q[axis] - p[axis]) for axis in range(3)))
+    geometry = terrain.geometry(np.array(points))
+    for one, other in itertools.combinations(range(len(points)), 2):
+        lengths = dict.fromkeys(terrain.sections, 0.0)
+        for p, q in itertools.pairwise(terrain.way(points[one], points[other])):
+            middle = [(a + b) / 2 for a, b in zip(p, q, strict=True)]
+            owner = min(kinds, key=lambda kind: distance_to(kind, middle))
+            lengths[owner.section] += math.dist(p, q)
+        total = sum(lengths.values())
+        if total > 5.0 and not geometry.line_of_sight[one, other]:
+            assert geometry.shares[:, one, other] == pytest.approx([m / total for m in lengths.values()], abs=1e-4)
+        assert geometry.shares[:, one, other].sum() == pytest.approx(1.0)
+
+
+def distance_to(kind: Tunnel, point: list[float]) -> float:
+    a, b = (np.array(end) for end in kind.path)
+    along = b - a
+    share = min(1.0, max(0.0, float((np.array(point) - a) @ along / (along @ along))))
+    return float(np.linalg.norm(np.array(point) - a - share * along))
 
 
 def test_who_stands_far_before_a_corner_sees_half_a_width_around_it() -> None:

@@ -73,6 +73,29 @@ class MessageQueued:
 
 
 @dataclass(frozen=True, slots=True)
+class MessageHeld:
+    """The rate limit of its topic keeps a queued message back; one event per destination."""
+
+    now: float
+    message_id: int
+    topic: str
+    priority: int
+    peer: str
+
+
+@dataclass(frozen=True, slots=True)
+class MessageReleased:
+    """The rate limit lets a message go that it had kept back for ``held_s``; it now waits for its turn."""
+
+    now: float
+    message_id: int
+    topic: str
+    priority: int
+    peer: str
+    held_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class _Fragment:
     """A fragment that leaves. ``message_id``: on the wire."""
 
@@ -272,6 +295,8 @@ class Window:
 
 Event = (
     MessageQueued
+    | MessageHeld
+    | MessageReleased
     | FragmentSent
     | FragmentRetransmitted
     | FragmentCopied

@@ -45,7 +45,7 @@ class Outbox:
         self._state = state
         self.backlog = Backlog()
         self._deadlines = Deadlines()
-        self._throttle = Throttle(state.scheduler)
+        self._throttle = Throttle(state.scheduler, state.events)
 
     def publish(
         self,

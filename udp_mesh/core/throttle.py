@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
+from udp_mesh.core.events import Event, MessageHeld, MessageReleased
 from udp_mesh.core.messages import Transfer
 from udp_mesh.core.scheduler import Scheduler
 from udp_mesh.core.settings import TopicPolicy
@@ -24,10 +25,11 @@ class _Topic:
 
 
 class Throttle:
-    """Stands before the scheduler."""
+    """Stands before the scheduler; tells ``events`` what it holds and lets go."""
 
-    def __init__(self, scheduler: Scheduler) -> None:
+    def __init__(self, scheduler: Scheduler, events: deque[Event]) -> None:
         self._scheduler = scheduler
+        self._events = events
         self._topics: dict[str, _Topic] = {}
 
     def push(self, copies: list[Transfer], *, now: float) -> None:
@@ -41,7 +43,12 @@ class Throttle:
         while topic.held and all(transfer.is_done for transfer in topic.held[0]):
             topic.held.popleft()  # replaced or expired while it waited
         topic.held.append(copies)
-        self._release(topic, now=now)
+        self._release(topic, fresh=copies, now=now)
+        if topic.held and topic.held[-1] is copies:
+            self._events.extend(
+                MessageHeld(now, message.published_id, message.topic, message.policy.priority, transfer.peer)
+                for transfer in copies
+            )
 
     def replace(self, old: Transfer, fresh: Transfer) -> bool:
         """Hold a transfer in another's place; whether the other was held."""
@@ -59,9 +66,11 @@ class Throttle:
             if not topic.held and topic.free_at_s <= now:
                 del self._topics[name]
 
-    def _release(self, topic: _Topic, *, now: float) -> None:
+    def _release(self, topic: _Topic, *, fresh: list[Transfer] | None = None, now: float) -> None:
+        """Queue what may be sent by now; ``fresh`` was published just now, so nobody was told that it is held."""
         while topic.held and topic.free_at_s <= now:
-            copies = [transfer for transfer in topic.held.popleft() if not transfer.is_done]
+            released = topic.held.popleft()
+            copies = [transfer for transfer in released if not transfer.is_done]
             if not copies:
                 continue
             message = copies[0].message
@@ -70,10 +79,18 @@ class Throttle:
             topic.free_at_s = max(topic.free_at_s, now - _LATE_S) + cost_s
             for transfer in copies:
                 self._scheduler.push(transfer)
+                if released is not fresh:
+                    self._events.append(_released(transfer, now=now))
 
     def next_timer(self) -> float | None:
         """Return when something that is held may be sent."""
         return min((topic.free_at_s for topic in self._topics.values() if topic.held), default=None)
+
+
+def _released(transfer: Transfer, *, now: float) -> MessageReleased:
+    message = transfer.message
+    held_s = now - message.queued_at_s
+    return MessageReleased(now, message.published_id, message.topic, message.policy.priority, transfer.peer, held_s)
 
 
 def interval_s(policy: TopicPolicy, *, size_bytes: int) -> float:

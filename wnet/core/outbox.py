@@ -18,7 +18,7 @@ from wnet.core.link import Link
 from wnet.core.members import Member, Outgoing
 from wnet.core.queues import CLASSES, MemberQueue
 from wnet.core.rates import rate_for
-from wnet.core.retries import Retries
+from wnet.core.retries import ACK_TURN_S, Retries
 from wnet.core.seal import SEAL_BYTES, Seal
 from wnet.core.transmissions import Transmission
 
@@ -92,12 +92,16 @@ class Outbox:
         else:
             self.submit(transmission, now=now)
 
-    def owe(self, link: Link, attempt: int, *, now: float) -> None:
-        """Acknowledge what came last, soon."""
+    def owe(self, link: Link, attempt: int, *, place: int, now: float) -> None:
+        """Acknowledge what came last, soon.
+
+        ``place``: of this node among the next hops that are asked, from 0. They may not hear each other, and would
+        all answer at the same moment; so each waits for its turn.
+        """
         link.acks_owed += 1
         link.ack_attempt = attempt
         if link.acks_owed == 1:
-            link.ack_due = now + self._config.ack_delay_s
+            link.ack_due = now + self._config.ack_delay_s + place * ACK_TURN_S
             self._owing[link.member][link] = None
         elif link.acks_owed >= ACKS_AT_ONCE:
             link.ack_due = now

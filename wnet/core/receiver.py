@@ -112,16 +112,16 @@ class Receiver:
             return
         link.hear(reception, self._noise_dbm, now=now)
         own_mac = self._members[link.member].mac
-        sequence = data.sequence
+        place, sequence = 0, data.sequence
         if data.hops or data.kind in (wire.FLOOD, wire.TC, wire.MULTICAST):
-            hop = next((hop for hop in data.hops if hop.peer_mac == own_mac), None)
-            sequence = -1 if hop is None else hop.sequence
+            found = ((place, hop.sequence) for place, hop in enumerate(data.hops) if hop.peer_mac == own_mac)
+            place, sequence = next(found, (0, -1))
         if sequence >= 0:
             ahead = link.data_window.take(sequence)
             if ahead >= 0:
                 link.loss.count(ahead)
             if data.is_ack_wanted:
-                self._outbox.owe(link, data.attempt, now=now)
+                self._outbox.owe(link, data.attempt, place=place, now=now)
         if data.kind == wire.TC:
             self._take_tc(link, data, own_mac, now)
         elif data.kind != wire.PROBE:

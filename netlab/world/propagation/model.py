@@ -40,6 +40,8 @@ class PropagationModel(StrictModel):
 
     #: True where the model is about tunnels and means nothing without them.
     needs_terrain: ClassVar[bool] = False
+    #: True where it reads what the tunnels are made of (``Geometry.sections``).
+    knows_materials: ClassVar[bool] = False
 
     shadowing_db: Spread = Field(default=0.0, alias="shadowing")
     shadowing_distance_m: Length = Field(default=10.0, alias="shadowing_distance")

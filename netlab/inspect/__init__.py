@@ -1,0 +1,1 @@
+"""Answers of :mod:`netlab.traces` as text, JSON and CSV, for ``netlab inspect``."""
