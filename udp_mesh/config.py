@@ -89,6 +89,8 @@ class Config:
     """Payload stored for other nodes, and as much again received for this node's applications, 65536..2^40."""
     store_age_s: float = 86_400.0
     """No message is stored for longer, whatever its lifetime, 1..2592000 (30 days)."""
+    team: tuple[str, ...] = ()
+    """Names of nodes for which messages are stored before they were ever heard. Its own may be among them."""
     topics: Mapping[str, TopicPolicy] = field(default_factory=dict)
     """Settings by topic."""
 
@@ -265,6 +267,7 @@ _CHECKS: dict[str, config_checks.Check] = {
     "store": config_checks.text,
     "store_bytes": config_checks.number(65536, 1 << 40, whole=True),
     "store_age_s": config_checks.number(1, 2_592_000, whole=False),
+    "team": config_checks.names,
 }
 _TOPIC_CHECKS: dict[str, config_checks.Check] = {
     "priority": config_checks.number(0, 255, whole=True),

@@ -56,6 +56,13 @@ def name(value: object) -> object:
     return value
 
 
+def names(value: object) -> object:
+    """Check a list of nodes' names."""
+    if not isinstance(value, list):
+        raise ValueError('has to be a list of names like ["base", "robot1"]')
+    return tuple(name(entry) for entry in value)
+
+
 def interfaces(value: object) -> object:
     """Check a list of interface names."""
     if not isinstance(value, list) or not all(isinstance(name, str) and 0 < len(name) < 16 for name in value):

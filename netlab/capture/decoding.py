@@ -52,6 +52,8 @@ def decoder_for(channel: Channel, schema: str) -> Decoder | None:
             return _verdict_decoder()
         case "foxglove.Log":
             return _log_decoder(channel.topic)
+        case "foxglove.SceneUpdate" | "foxglove.FrameTransforms" if channel.message_encoding == "protobuf":
+            return _scene_decoder(channel.topic)
     return _json_decoder(channel.topic) if channel.message_encoding == "json" else None
 
 
@@ -109,6 +111,17 @@ def _log_decoder(topic: str) -> Decoder:
         return LogLine(log_ns, node, process, LogLevel(entry.level), entry.message)
 
     return decode
+
+
+def _scene_decoder(topic: str) -> Decoder | None:
+    """The map and the poses as the lab told them; scenes that are only drawn say nothing new."""
+    from netlab.capture import foxglove  # only readers of places pay for its import
+
+    decoders = {"/map": foxglove.decode_map, "/poses": foxglove.decode_poses}
+    if topic not in decoders:
+        return None
+    kind, payload_of = kind_of(topic), decoders[topic]
+    return lambda log_ns, data: JsonRecord(log_ns, kind, topic, "", payload_of(data))
 
 
 def _json_decoder(topic: str) -> Decoder:

@@ -14,12 +14,13 @@ import time
 from typing import Protocol
 
 from netlab.capture.messages import AddFeed, FeedKind
-from netlab.capture.schemas import LogLevel, encode_attempts, encode_verdict, encode_verdict_ends
+from netlab.capture.schemas import LogLevel, encode_attempts, encode_log, encode_verdict, encode_verdict_ends
 from netlab.capture.topics import Topics
 from netlab.medium.verdicts import VERDICT_RECORD
 
 _READ_BYTES = 256 * 1024
 _MAX_LINE_BYTES = 1024 * 1024
+_PRESENCE = ("peer_up", "peer_down")  # events that a state is made of
 
 
 class Feed(Protocol):
@@ -133,6 +134,8 @@ class EventFeed(_Lines):
             line = json.dumps(record).encode()
         channel = self._topics.json(request.topic, {"node": request.node, "process": request.process})
         self._topics.writer.add_message(channel, t_ns, t_ns, line)
+        if record.get("event") in _PRESENCE:
+            self._topics.writer.keep(channel, str(record.get("peer")), t_ns, line)
 
 
 _LEVEL = re.compile(r"\b(DEBUG|INFO|WARN|WARNING|ERROR|CRITICAL|FATAL)\b", re.IGNORECASE)
@@ -158,13 +161,10 @@ class LogFeed(_Lines):
     """Output of a process, stamped when read."""
 
     def _line(self, line: bytes, now_ns: int) -> None:
-        from foxglove_schemas_protobuf.Log_pb2 import Log  # only runs with logs pay for its import
-
         text = line.decode(errors="backslashreplace").rstrip("\r")
-        entry = Log(level=Log.Level.ValueType(log_level(text)), message=text, name=self._request.process)
-        entry.timestamp.FromNanoseconds(now_ns)
+        data = encode_log(now_ns, log_level(text), self._request.process, text)
         channel = self._topics.log(self._request.topic, self._request.node, self._request.process)
-        self._topics.writer.add_message(channel, now_ns, now_ns, entry.SerializeToString())
+        self._topics.writer.add_message(channel, now_ns, now_ns, data)
 
 
 class VerdictFeed(_Stream):

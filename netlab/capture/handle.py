@@ -10,13 +10,16 @@ from netlab.capture.messages import (
     AddFeed,
     AddInterfaces,
     Close,
+    CloseFile,
     Done,
     FeedKind,
     Message,
     Notice,
     Open,
+    OpenFile,
     RecorderStats,
-    SetT0,
+    SetMetadata,
+    Subscribe,
     Sync,
 )
 from netlab.errors import CaptureError
@@ -70,7 +73,33 @@ class Recorder:
 
     def set_t0(self, t0_ns: int) -> None:
         """Declare scenario time zero."""
-        self._send(SetT0(t0_ns))
+        self.set_metadata({"t0_ns": str(t0_ns)})
+
+    def set_metadata(self, values: Mapping[str, str]) -> None:
+        """Change values of the record ``netlab.run``."""
+        self._send(SetMetadata(dict(values)))
+
+    def subscribe(self, fd: int, *, packets: bool) -> None:
+        """Show everything that is recorded at a stream socket too, from the static records on; never waits for it."""
+        self._send(Subscribe(packets), [fd])
+
+    def open_file(self, path: str) -> None:
+        """Finish the present file, if there is one, and begin another one.
+
+        Raises:
+            CaptureError: It cannot be created, or the recorder is gone.
+        """
+        self._send(OpenFile(path))
+        self._wait_done()
+
+    def close_file(self) -> None:
+        """Finish the present file; producers and onlookers go on.
+
+        Raises:
+            CaptureError: The recorder is gone.
+        """
+        self._send(CloseFile())
+        self._wait_done()
 
     def sync(self) -> None:
         """Wait until everything asked before has taken effect: from now on no packet is missed.

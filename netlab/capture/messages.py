@@ -52,10 +52,29 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
-class SetT0:
-    """Scenario time zero, CLOCK_REALTIME."""
+class SetMetadata:
+    """Values of the record ``netlab.run`` that are known only now: scenario time zero, a longer duration."""
 
-    t0_ns: int
+    values: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Subscribe:
+    """Somebody looks on; comes with the socket. ``packets``: with packets and verdicts too."""
+
+    packets: bool
+
+
+@dataclass(frozen=True, slots=True)
+class OpenFile:
+    """Finish the present file, if any, and begin another one; answer with ``Done``."""
+
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class CloseFile:
+    """Finish the present file; those who look on go on. Answer with ``Done``."""
 
 
 @dataclass(frozen=True, slots=True)

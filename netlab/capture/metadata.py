@@ -31,6 +31,7 @@ class StreamLike(Protocol):
 def run_metadata(
     *,
     scenario_text: str,
+    overrides: Iterable[str] = (),
     engine: str,
     clock: str,
     duration_s: float,
@@ -42,7 +43,8 @@ def run_metadata(
     """Build the record; ``t0_ns`` is added by the recorder when the run starts.
 
     Args:
-        scenario_text: The file as it was run.
+        scenario_text: The file that was run.
+        overrides: What ``--set`` changed of it, as ``key.path=value``.
         engine: ``air``, ``netem``.
         clock: ``real``, ``virtual``.
         duration_s: Scenario time in which traffic is published.
@@ -70,6 +72,7 @@ def run_metadata(
         "clock": clock,
         "duration_s": repr(duration_s),
         "scenario": scenario_text,
+        "overrides": json.dumps(list(overrides)),
         "streams": json.dumps(listed),
         "ports": json.dumps(_ports(plan)),
         "meshes": json.dumps(_meshes(plan)),

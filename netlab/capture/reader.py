@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -24,6 +24,9 @@ from netlab.capture.records import Kind, Record, kind_of
 from netlab.errors import CaptureError
 
 METADATA_NAME = "netlab.run"
+LOSSES_NAME = "netlab.losses"
+#: Told how many of how many parts of a file have been read.
+OnRead = Callable[[int, int], None]
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
@@ -43,13 +46,15 @@ class Capture:
     Attributes:
         path: The file.
         metadata: The record ``netlab.run``: scenario text, seed, versions, engine, ``t0_ns``...; empty if missing.
+        losses: How many messages the recorder had to leave out, by topic; None if it did not come to say so.
         attachments: File name to content.
         notes: What is wrong with the file, for a person; grows as damaged chunks are met.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, on_read: OnRead = lambda done, total: None) -> None:
         """Open a file; see :meth:`open`."""
         self.path = path
+        self._on_read = on_read
         try:
             self._file = path.open("rb")
         except OSError as error:
@@ -62,16 +67,18 @@ class Capture:
             self._file.close()
             raise
         self.metadata: dict[str, str] = self._scan.metadata.get(METADATA_NAME, {})
+        lacking = self._scan.metadata.get(LOSSES_NAME)
+        self.losses = None if lacking is None else {topic: int(count) for topic, count in lacking.items()}
         self.attachments: dict[str, bytes] = self._scan.attachments
 
     @classmethod
-    def open(cls, path: Path | str) -> Capture:
-        """Open a capture.
+    def open(cls, path: Path | str, on_read: OnRead = lambda done, total: None) -> Capture:
+        """Open a capture. ``on_read`` hears how far a reading of :meth:`records` has come.
 
         Raises:
             CaptureError: There is no such file, or it is no MCAP file. A torn file opens, with a note.
         """
-        return cls(Path(path))
+        return cls(Path(path), on_read)
 
     def __enter__(self) -> Capture:
         """Return itself."""
@@ -157,7 +164,9 @@ class Capture:
         """Merge chunks, which overlap in time, into one order: (channel, time, data)."""
         pending: list[tuple[int, int, int, bytes]] = []
         serial = 0  # keeps the order of writing among equal times
-        for place in sorted(self._scan.chunks, key=lambda place: place.start_ns):
+        places = sorted(self._scan.chunks, key=lambda place: place.start_ns)
+        for number, place in enumerate(places):
+            self._on_read(number, len(places))
             if place.end_ns < start_ns or place.start_ns >= end_ns or not _may_hold(place, numbers):
                 continue
             done = bisect_left(pending, (place.start_ns,))

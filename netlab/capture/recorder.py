@@ -25,23 +25,29 @@ from netlab.capture.messages import (
     AddFeed,
     AddInterfaces,
     Close,
+    CloseFile,
     Done,
     Message,
     Notice,
     Open,
+    OpenFile,
     RecorderStats,
-    SetT0,
+    SetMetadata,
+    Subscribe,
     Sync,
 )
+from netlab.capture.onlookers import Onlooker, Onlookers
+from netlab.capture.outlets import Outlets
 from netlab.capture.ring import RingSize, ring_size
 from netlab.capture.sniffer import Sniffer
 from netlab.capture.topics import Topics
-from netlab.capture.writer import CaptureWriter
 from netlab.ipc import Channel
 
 METADATA_NAME = "netlab.run"
+LOSSES_NAME = "netlab.losses"
 _FLUSH_EVERY_S = 1.0
 _TELL_WITHIN_S = 0.2
+_LAST_SEND_S = 0.5  # for onlookers that do not read
 _LAST_FEED_WAIT_S = 0.05  # producers end before Close; this is for what is still in their sockets
 
 
@@ -52,7 +58,8 @@ class Recorder:
         self._channel = channel
         self._selector = selectors.DefaultSelector()
         self._selector.register(channel, selectors.EVENT_READ, self._control)
-        self._writer: CaptureWriter | None = None
+        self._onlookers = Onlookers(self._selector)
+        self._outlets = Outlets(self._onlookers)
         self._topics: Topics | None = None
         self._metadata: dict[str, str] = {}
         self._ports: list[tuple[str, str]] = []
@@ -72,6 +79,7 @@ class Recorder:
         while not self._ending:
             for key, _ in self._selector.select(min(max(next_flush - time.monotonic(), 0), _TELL_WITHIN_S)):
                 key.data()
+            self._onlookers.send()
             self._tell_error()
             if (now := time.monotonic()) >= next_flush:
                 self._every_second()
@@ -110,9 +118,20 @@ class Recorder:
                 self._add_feed(message, fds[0])
             case Message() if self._topics:
                 self._topics.add_json(message.topic, message.payload, message.t_ns)
-            case SetT0() if self._writer:
-                self._metadata["t0_ns"] = str(message.t0_ns)
-                self._writer.add_metadata(METADATA_NAME, self._metadata)
+            case SetMetadata() if self._topics:
+                self._metadata |= message.values
+                self._outlets.add_metadata(METADATA_NAME, self._metadata)
+                if "t0_ns" in message.values:
+                    self._topics.t0_ns = int(message.values["t0_ns"])
+            case Subscribe() if self._topics:
+                self._outlets.join(Onlooker(socket.socket(fileno=fds[0]), packets=message.packets))
+            case OpenFile() if self._topics:
+                self._outlets.close()
+                self._open_file(message.path)
+                self._answer()
+            case CloseFile():
+                self._outlets.close()
+                self._answer()
             case Sync():
                 self._answer()
             case Close():
@@ -121,18 +140,24 @@ class Recorder:
                 self._errors.append(f"{type(message).__name__} before the file was opened")
 
     def _open(self, request: Open) -> None:
-        try:
-            self._writer = CaptureWriter(Path(request.path))
-        except OSError as error:
-            self._errors.append(f"{request.path}: {error.strerror}")
-            return
-        self._topics = Topics(self._writer)
         self._metadata = dict(request.metadata)
+        self._outlets.add_metadata(METADATA_NAME, self._metadata)
+        for name, data in request.attachments.items():
+            self._outlets.add_attachment(name, data)
+        if not self._open_file(request.path):
+            return
+        self._topics = Topics(self._outlets)
         self._ports = [(port["node"], port["interface"]) for port in json.loads(self._metadata.get("ports", "[]"))]
         self._ring_size = ring_size(request.nodes)
-        self._writer.add_metadata(METADATA_NAME, self._metadata)
-        for name, data in request.attachments.items():
-            self._writer.add_attachment(name, "application/octet-stream", data, log_ns=time.time_ns())
+
+    def _open_file(self, path: str) -> bool:
+        try:
+            self._outlets.open(Path(path))
+        except OSError as error:
+            self._errors.append(f"{path}: {error.strerror}")
+            return False
+        self._told_error = False
+        return True
 
     def _add_sniffer(self, request: AddInterfaces, fds: list[int]) -> None:
         try:
@@ -167,14 +192,16 @@ class Recorder:
 
     def _tell_error(self) -> None:
         """The background thread may fail at any time; a person hears of it once."""
-        if self._writer and self._writer.error and not self._told_error:
+        writer = self._outlets.writer
+        if writer and writer.error and not self._told_error:
             self._told_error = True
-            self._send(Notice(self._writer.error))
+            self._send(Notice(writer.error))
 
     def _every_second(self) -> None:
-        if self._writer is None:
-            return
-        self._writer.flush()
+        if self._topics is not None:
+            self._topics.draw(time.time_ns())
+        if self._outlets.writer is not None:
+            self._outlets.writer.flush()
         for sniffer in self._sniffers:
             if sniffer.count_drops() and sniffer.node not in self._told_drops:
                 self._told_drops.add(sniffer.node)
@@ -189,8 +216,10 @@ class Recorder:
         for feed in self._feeds:
             feed.close()
             self._dropped_lines += feed.dropped
-        if self._writer:
-            self._writer.close()
+        if self._topics is not None:
+            self._outlets.add_metadata(LOSSES_NAME, self._losses())
+        self._outlets.close()
+        self._onlookers.close(within_s=_LAST_SEND_S)
         return self._stats()
 
     def _drain_rings(self) -> None:
@@ -208,14 +237,19 @@ class Recorder:
         for sniffer in self._sniffers:
             sniffer.close()
 
+    def _losses(self) -> dict[str, str]:
+        """What the file lacks, by topic, so that it tells so itself."""
+        packets = {f"/{sniffer.node}/*/packets": str(sniffer.drops) for sniffer in self._sniffers if sniffer.drops}
+        return {**packets, "lines of feeds": str(self._dropped_lines)}
+
     def _stats(self) -> RecorderStats:
-        writer = self._writer
+        files = self._outlets.files
         return RecorderStats(
-            messages=writer.messages_written if writer else 0,
+            messages=sum(file.messages_written for file in files),
             packets=sum(sniffer.packets for sniffer in self._sniffers),
             kernel_drops={sniffer.node: sniffer.drops for sniffer in self._sniffers if sniffer.drops},
-            write_errors=(writer.error,) if writer and writer.error else (),
-            messages_lost=writer.messages_lost if writer else 0,
+            write_errors=tuple(file.error for file in files if file.error),
+            messages_lost=sum(file.messages_lost for file in files),
             feed_lines_dropped=self._dropped_lines,
         )
 

@@ -1,8 +1,6 @@
-"""The lab's map and poses as messages that Foxglove draws: ``/map`` once, ``/poses`` while nodes move.
+"""The lab's map and poses as plain values, as the lab hands them to its recorder: ``/map`` once, ``/poses`` in motion.
 
-Both are Foxglove's own schemas in JSON, with keys of ours beside theirs: ``tunnels`` on the map; ``nodes``, ``active``
-and ``t_s`` with the poses, in the order of ``poses``. Frame ``map``: metres, x and y on the map, z up.
-Source of the shapes: the schemas SceneUpdate and PosesInFrame of foxglove-schemas.
+Metres, x and y on the map, z up. What they become in the file is the business of :mod:`netlab.capture.foxglove`.
 """
 
 from __future__ import annotations
@@ -10,12 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-
-_FRAME = "map"
-_ROCK = {"r": 0.55, "g": 0.5, "b": 0.45, "a": 0.5}
-_TEXT = {"r": 0.5, "g": 0.5, "b": 0.5, "a": 1.0}
-_UPRIGHT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-_LINE_STRIP = 0
 
 Point = tuple[float, float, float]
 
@@ -40,12 +32,9 @@ class Pose:
     active: bool
 
 
-def map_message(passages: Iterable[Passage], t_ns: int) -> dict[str, object]:
-    """A ``foxglove.SceneUpdate`` with one entity per tunnel."""
-    passages = list(passages)
+def map_message(passages: Iterable[Passage]) -> dict[str, object]:
+    """The tunnels."""
     return {
-        "deletions": [],
-        "entities": [_tunnel(passage, t_ns) for passage in passages],
         "tunnels": [
             {"name": passage.name, "path": passage.path_m, "width_m": passage.width_m, "height_m": passage.height_m}
             for passage in passages
@@ -53,56 +42,15 @@ def map_message(passages: Iterable[Passage], t_ns: int) -> dict[str, object]:
     }
 
 
-def poses_message(poses: Iterable[Pose], t_s: float, t_ns: int) -> dict[str, object]:
-    """A ``foxglove.PosesInFrame``; ``t_s`` is the scenario time that the poses belong to."""
+def poses_message(poses: Iterable[Pose], t_s: float) -> dict[str, object]:
+    """Where everybody is at scenario time ``t_s``; ``nodes`` names the ``poses``, ``active`` tells who takes part."""
     poses = list(poses)
     return {
-        "timestamp": _stamp(t_ns),
-        "frame_id": _FRAME,
         "poses": [{"position": _xyz(pose.position_m), "orientation": _yaw(pose.heading_deg)} for pose in poses],
         "nodes": [pose.node for pose in poses],
         "active": [pose.active for pose in poses],
         "t_s": t_s,
     }
-
-
-def _tunnel(passage: Passage, t_ns: int) -> dict[str, object]:
-    middle = passage.path_m[len(passage.path_m) // 2]
-    line = {
-        "type": _LINE_STRIP,
-        "pose": {"position": _xyz((0.0, 0.0, 0.0)), "orientation": _UPRIGHT},
-        "thickness": passage.width_m,
-        "scale_invariant": False,
-        "points": [_xyz(point) for point in passage.path_m],
-        "color": _ROCK,
-        "colors": [],
-        "indices": [],
-    }
-    text = {
-        "pose": {"position": _xyz(middle), "orientation": _UPRIGHT},
-        "billboard": True,
-        "font_size": 12.0,
-        "scale_invariant": True,
-        "color": _TEXT,
-        "text": passage.name,
-    }
-    nothing: list[object] = []
-    shapes = dict.fromkeys(("arrows", "cubes", "spheres", "cylinders", "triangles", "models"), nothing)
-    return {
-        "timestamp": _stamp(t_ns),
-        "frame_id": _FRAME,
-        "id": f"tunnel/{passage.name}",
-        "lifetime": {"sec": 0, "nsec": 0},
-        "frame_locked": False,
-        "metadata": [],
-        "lines": [line],
-        "texts": [text],
-        **shapes,
-    }
-
-
-def _stamp(t_ns: int) -> dict[str, int]:
-    return {"sec": t_ns // 1_000_000_000, "nsec": t_ns % 1_000_000_000}
 
 
 def _xyz(point: Point) -> dict[str, float]:

@@ -1,7 +1,8 @@
 """Schemas of the capture's channels, and the encoding of the two that occur by the ten thousand per second.
 
 Owns the meaning of every message on disk: protobuf for packets and verdicts, ``foxglove.Log`` for logs, JSON for the
-rest. Knows nothing of files and sockets. Fixed-width fields keep the encoding of a packet to one ``struct`` call.
+rest but places (:mod:`netlab.capture.foxglove`). Knows nothing of files and sockets. Fixed-width fields keep the
+encoding of a packet to one ``struct`` call.
 """
 
 from __future__ import annotations
@@ -117,6 +118,15 @@ def log_schema() -> Schema:
     return Schema("foxglove.Log", "protobuf", "protobuf", build_file_descriptor_set(Log).SerializeToString())
 
 
+def encode_log(t_ns: int, level: LogLevel, name: str, message: str) -> bytes:
+    """Encode one ``foxglove.Log``."""
+    from foxglove_schemas_protobuf.Log_pb2 import Log
+
+    entry = Log(level=Log.Level.ValueType(level), message=message, name=name)
+    entry.timestamp.FromNanoseconds(t_ns)
+    return entry.SerializeToString()
+
+
 def _protobuf(name: str, file: FileDescriptorProto) -> Schema:
     return Schema(name, "protobuf", "protobuf", FileDescriptorSet(file=[file]).SerializeToString())
 
@@ -136,25 +146,6 @@ _JSON_SCHEMAS: dict[str, dict[str, object]] = {
         "required": ["t_ns", "kind"],
     },
     "netlab.Links": {"properties": {"t_ns": _NS}, "required": ["t_ns"]},
-    "foxglove.SceneUpdate": {
-        "properties": {
-            "deletions": {"type": "array", "items": {"type": "object"}},
-            "entities": {"type": "array", "items": {"type": "object"}},
-            "tunnels": {"description": "name, path (metres), width_m and height_m of each tunnel"},
-        },
-        "required": ["entities"],
-    },
-    "foxglove.PosesInFrame": {
-        "properties": {
-            "timestamp": {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}},
-            "frame_id": {"type": "string"},
-            "poses": {"type": "array", "items": {"type": "object"}},
-            "nodes": {"description": "names, in the order of poses"},
-            "active": {"description": "false while a node is still carried"},
-            "t_s": {"type": "number", "description": "scenario time of the poses"},
-        },
-        "required": ["timestamp", "frame_id", "poses", "nodes"],
-    },
     "netlab.Event": {"properties": {"t_ns": _NS, "event": {"type": "string"}}, "required": ["event"]},
     "netlab.Published": {
         "properties": {
@@ -175,6 +166,7 @@ _JSON_SCHEMAS: dict[str, dict[str, object]] = {
             "seq": {"type": "integer"},
             "published_ns": _NS,
             "t_ns": _NS,
+            "latency_s": {"type": "number", "description": "publish call to receipt, seconds"},
             "size_bytes": {"type": "integer"},
             "source": {"type": "string"},
         },
@@ -186,8 +178,6 @@ _JSON_SCHEMAS: dict[str, dict[str, object]] = {
 _LAB_TOPICS = {
     "/timeline": "netlab.Timeline",
     "/links": "netlab.Links",
-    "/map": "foxglove.SceneUpdate",
-    "/poses": "foxglove.PosesInFrame",
 }
 
 

@@ -14,7 +14,7 @@ import queue
 import struct
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 
 import zstandard
@@ -129,6 +129,9 @@ class CaptureWriter:
             chunk.end_ns = log_ns
         if chunk.size_bytes >= self._chunk_bytes:
             self.flush()
+
+    def keep(self, channel: int, key: Hashable, log_ns: int, data: bytes) -> None:
+        """A file needs no memory."""
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Record a metadata record; readers take the last one of a name."""

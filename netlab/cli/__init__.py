@@ -16,7 +16,7 @@ from netlab.errors import NetlabError
 
 #: command -> (module, one line of help); the help is repeated here so that `netlab --help` imports nothing.
 COMMANDS = {
-    "lab": ("run", "Run a scenario with a live status (interactive lab)."),
+    "lab": ("lab", "Run a scenario on a live screen and act on it (interactive lab)."),
     "run": ("run", "Run a scenario, evaluate its expectations."),
     "up": ("up", "Start a lab in the background."),
     "down": ("background", "Stop a lab."),
@@ -29,6 +29,7 @@ COMMANDS = {
     "check": ("check", "Validate a scenario file and print every problem."),
     "inspect": ("inspect", "Look into a capture."),
     "report": ("report", "Draw a page of plots from a capture."),
+    "foxglove": ("foxglove", "Show a running lab to Foxglove, live."),
     "export": ("export", "Export a capture's packets to pcapng."),
     "wireshark": ("wireshark", "Install the dissectors for Wireshark and tshark."),
     "vm": ("vm", "Run a command in a throw-away kernel, in real or virtual time."),

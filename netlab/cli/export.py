@@ -8,6 +8,7 @@ import click
 
 from netlab.capture.export import export_pcapng
 from netlab.capture.reader import Capture
+from netlab.cli.progress import Steps
 
 
 @click.command("export")
@@ -19,7 +20,8 @@ def export(file: Path, output: Path | None) -> None:
     Interfaces are called NODE/INTERFACE; what the medium did to a packet stands in the packet's comments.
     """
     target = output or file.with_suffix(".pcapng")
-    with Capture.open(file) as capture:
+    with Steps() as steps, Capture.open(file, steps.at) as capture:
+        steps.begin(f"exporting {file.name}")
         count = export_pcapng(capture, target)
         for note in capture.notes:
             click.echo(f"note: {note}", err=True)

@@ -1,19 +1,24 @@
-"""`netlab run` and `netlab lab`: a scenario from start to end, with progress on stderr and the verdict on stdout."""
+"""`netlab run`: a scenario from start to end, with progress on stderr and the verdict on stdout."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
+from netlab.cli.foxglove import announce, with_foxglove
+from netlab.cli.progress import Steps
 from netlab.cli.status import Status
 from netlab.cli.up import with_scenario_options
 from netlab.lab.facade import Lab
 from netlab.lab.results import RunResult, needs_packets
-from netlab.report.build import require_plots, write_report
+from netlab.live.foxglove import FoxgloveServer, require_foxglove
+from netlab.report.build import STEPS, require_plots, write_report
 from netlab.scenario import load_scenario
 
 
@@ -29,6 +34,7 @@ from netlab.scenario import load_scenario
     type=click.Path(path_type=Path, file_okay=False),
     help="Write an HTML report to this folder, and the capture too unless --capture says where.",
 )
+@with_foxglove
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def run(
     file: Path,
@@ -40,6 +46,7 @@ def run(
     timeout_s: float,
     capture: Path | None,
     report: Path | None,
+    foxglove_port: int | None,
     as_json: bool,
 ) -> None:
     """Run FILE to its end and evaluate its expectations.
@@ -51,6 +58,10 @@ def run(
         capture = capture or report / "capture.mcap"
     if clock == "virtual" and where != "vm":
         raise click.UsageError("the host's clock cannot be virtual; add --in vm")
+    if foxglove_port is not None:
+        if where == "vm":
+            raise click.UsageError("nothing outside can look into a lab in a vm while it runs; leave out --foxglove")
+        require_foxglove()
     if where == "vm":
         from netlab.cli.in_box import run_scenario_in_box  # a run on the host need not load it
 
@@ -60,8 +71,8 @@ def run(
         _write_report(capture, report)
         sys.exit(status)
     lab = Lab(file, engine=engine, seed=seed, overrides=overrides, capture=capture)
-    lab.record_packets(capture is not None or needs_packets(lab.scenario))
-    result = _run(lab)
+    lab.record_packets(capture is not None or foxglove_port is not None or needs_packets(lab.scenario))
+    result = run_with_status(lab, foxglove_port)
     if as_json:
         click.echo(json.dumps(result.summary, indent=2))
         if complaints := result.complaints():
@@ -74,7 +85,9 @@ def run(
 
 def _write_report(capture: Path | None, directory: Path | None) -> None:
     if directory is not None and capture is not None and capture.exists():  # a run that could not begin has none
-        click.echo(f"report: {write_report(capture, directory)}", err=True)
+        with Steps(STEPS) as steps:
+            page = write_report(capture, directory, on_step=steps.begin, on_read=steps.within)
+        click.echo(f"report: {page}", err=True)
 
 
 def _words(*, engine: str | None, seed: int | None, overrides: tuple[str, ...], as_json: bool) -> list[str]:
@@ -85,31 +98,28 @@ def _words(*, engine: str | None, seed: int | None, overrides: tuple[str, ...], 
     return words + (["--json"] if as_json else [])
 
 
-DEFAULT_SCENARIO = Path("topologies/default.yaml")
-
-
-@click.command()
-@click.argument("file", type=click.Path(path_type=Path), default=DEFAULT_SCENARIO)
-@with_scenario_options
-@click.option("--capture", type=click.Path(path_type=Path, dir_okay=False), help="Keep the capture (MCAP) here.")
-def lab(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, ...], capture: Path | None) -> None:
-    """Run FILE with a live status of nodes, links and streams; act on it from another terminal (`netlab link ...`)."""
-    kept = capture or Path("captures") / f"{file.stem}.mcap"
-    running = Lab(file, engine=engine, seed=seed, overrides=overrides, capture=kept)
-    result = _run(running)
-    click.echo(result.report())
-    click.echo(f"capture: {kept}  (netlab inspect {kept})")
-    sys.exit(result.exit_code)
-
-
-def _run(lab: Lab) -> RunResult:
+def run_with_status(lab: Lab, foxglove_port: int | None = None) -> RunResult:
+    """Run a lab to its end with its status on stderr; Ctrl-C and SIGTERM take it down in good order."""
     status = Status(lab.scenario, sys.stderr)
     for signum in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C: the lab and its temporary capture go in good order
         signal.signal(signum, signal.default_int_handler)
     try:
-        with lab, status:
+        with Steps() as steps:
+            lab.start(steps.begin)
+        with lab, _shown(lab, foxglove_port), status:
             status.ready(lab.name, lab.status())
             return lab.run(status.update)
     except KeyboardInterrupt:
         click.echo("interrupted; the lab has been taken down", err=True)
         raise click.Abort from None
+
+
+@contextlib.contextmanager
+def _shown(lab: Lab, port: int | None) -> Iterator[None]:
+    """Show a running lab to Foxglove, if that was asked for."""
+    if port is None:
+        yield
+        return
+    with FoxgloveServer(lab.feed(packets=True), name=lab.name, port=port) as server:
+        announce(server)
+        yield

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 import netlab
+from netlab.cli.progress import Steps
 from netlab.lab.launch import LaunchOptions, launch, make_room
 from netlab.scenario import load_scenario
 
@@ -37,9 +38,11 @@ def up(file: Path, engine: str | None, seed: int | None, overrides: tuple[str, .
     options = LaunchOptions(
         engine=engine or str(scenario.engine),
         scenario_text=file.read_text(),
+        overrides=overrides,
         capture=capture.resolve() if capture else None,
         background=True,
         keep_visible=(Path(netlab.__file__).parent.parent, Path.cwd()),
     )
-    lab = launch(scenario, options)
+    with Steps() as steps:
+        lab = launch(scenario, options, on_stage=steps.begin)
     click.echo(lab.folder.name)

@@ -23,9 +23,11 @@ import yaml
 import netlab
 from netlab.errors import LabError
 from netlab.lab.control import ControlClient
-from netlab.lab.launch import LabProcess, LaunchOptions, launch, make_room
+from netlab.lab.launch import LabProcess, LaunchOptions, OnStage, launch, make_room
 from netlab.lab.nursery import Nursery
 from netlab.lab.results import RunResult, evaluate_run
+from netlab.lab.saving import Original, read_journal, save
+from netlab.live.feed import Feed, follow
 from netlab.scenario import load_scenario, parse_scenario
 from netlab.scenario.model import Scenario
 
@@ -70,6 +72,9 @@ class Lab:
         else:
             self.scenario = load_scenario(Path(scenario), overrides=overrides, seed=seed, engine=engine)
             self._text = Path(scenario).read_text()
+        given = {"seed": seed, "engine": engine}
+        others = {key: value for key, value in given.items() if value is not None}
+        self._original = Original(self._text, tuple(overrides), others)
         self._engine = engine or self.scenario.engine
         self._kept = Path(capture).resolve() if capture is not None else None
         self._scratch: Path | None = None
@@ -79,8 +84,8 @@ class Lab:
 
     # -- life -----------------------------------------------------------------------------------------------------
 
-    def start(self) -> Lab:
-        """Bring the lab up; returns when every process has reported ready.
+    def start(self, on_stage: OnStage = lambda what: None) -> Lab:
+        """Bring the lab up; returns when every process has reported ready. ``on_stage`` hears how far it is.
 
         Raises:
             MachineError: This machine cannot run it.
@@ -97,12 +102,13 @@ class Lab:
         options = LaunchOptions(
             engine=self._engine,
             scenario_text=self._text,
+            overrides=self._original.overrides,
             capture=self.capture,
             packets=self._packets,
             keep_visible=keep,
         )
         try:
-            self._process = launch(self.scenario, options, self._nursery)
+            self._process = launch(self.scenario, options, self._nursery, on_stage)
         except BaseException:
             self.close()  # a temporary capture must not stay
             raise
@@ -184,6 +190,18 @@ class Lab:
         """Phase, scenario time, processes, links and streams as plain values."""
         return self._request({"do": "status"})
 
+    def feed(self, *, packets: bool = False) -> Feed:
+        """What the lab records, as it is recorded; close it when done. ``packets``: with packets and verdicts.
+
+        Raises:
+            LabError: The lab is not running any more, or its capture is finished.
+        """
+        return follow(self._running.folder, packets=packets)
+
+    def connect(self) -> ControlClient:
+        """A control connection of one's own, for what a request with descriptors needs; close it when done."""
+        return self._running.connect()
+
     def exec(
         self, node: str, *argv: str, timeout_s: float = 30.0, env: Mapping[str, str] | None = None, text: str = ""
     ) -> subprocess.CompletedProcess[str]:
@@ -259,6 +277,27 @@ class Lab:
     def restart(self, node: str, process: str) -> None:
         """Start a process again; returns when it has reported ready."""
         self._request({"do": "start", "node": node, "process": process})
+
+    def act(self, do: str, **values: Any) -> dict[str, Any]:
+        """Do something to the lab that :mod:`netlab.lab.acts` knows, recorded with its inverse: ``act("undo")``.
+
+        Raises:
+            LabError: It cannot be done.
+        """
+        return self._request({"do": do, **values})
+
+    def save(self, path: Path | str) -> tuple[str, ...]:
+        """Write a scenario file that does again all that was done to this lab so far; returns what it cannot say.
+
+        Raises:
+            LabError: The file cannot be written.
+            ScenarioError: It does not load, as it names files that are not beside it.
+        """
+        if not self._text:
+            raise LabError("this lab was started from a scenario without a text; start it from a file or a mapping")
+        rows = read_journal(self._running.folder.journal)
+        end_s = max(0.0, self.status()["t_s"] or 0.0)
+        return save(Path(path), self._original, rows, duration_s=self.scenario.duration_s, end_s=end_s)
 
     def log(self, node: str, process: str) -> str:
         """All output of a process so far."""

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +27,7 @@ STOP_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class LaunchOptions:
-    """How to run a scenario, whose source ``scenario_text`` goes into the capture.
+    """How to run a scenario, whose source ``scenario_text`` goes into the capture with the ``overrides`` of its keys.
 
     ``capture`` is where the MCAP goes (absolute), None for no recording at all; ``packets`` also records every packet
     and radio verdict. A lab in the ``background`` outlives the process that started it. ``keep_visible`` are
@@ -36,10 +36,15 @@ class LaunchOptions:
 
     engine: str = "auto"
     scenario_text: str = ""
+    overrides: tuple[str, ...] = ()
     capture: Path | None = None
     packets: bool = True
     background: bool = False
     keep_visible: tuple[Path, ...] = ()
+
+
+#: Told what is being done while a lab comes up.
+OnStage = Callable[[str], None]
 
 
 class LabProcess:
@@ -89,13 +94,19 @@ def make_room(capture: Path) -> None:
         raise CaptureError(f"{capture}: its folder cannot be made: {error.strerror}") from None
 
 
-def launch(scenario: Scenario, options: LaunchOptions, nursery: Nursery | None = None) -> LabProcess:
+def launch(
+    scenario: Scenario,
+    options: LaunchOptions,
+    nursery: Nursery | None = None,
+    on_stage: OnStage = lambda what: None,
+) -> LabProcess:
     """Start a lab and return when every interface is up and every process has reported ready.
 
     Args:
         scenario: What to run.
         options: How.
         nursery: Starts the supervisor as a fork, for whoever starts many labs.
+        on_stage: Told what is being done meanwhile.
 
     Raises:
         MachineError: This machine cannot run it; the text names the way out.
@@ -117,7 +128,7 @@ def launch(scenario: Scenario, options: LaunchOptions, nursery: Nursery | None =
             os.close(fd)
     lab = LabProcess(folder, process, lifeline_write)
     try:
-        _wait_ready(lab, ready_read)
+        _wait_ready(lab, ready_read, on_stage)
     except BaseException:
         lab.stop()
         raise
@@ -138,19 +149,24 @@ def _execute(arguments: Sequence[str], fds: Mapping[str, int], log_fd: int) -> s
     )
 
 
-def _wait_ready(lab: LabProcess, ready_fd: int) -> None:
+def _wait_ready(lab: LabProcess, ready_fd: int, on_stage: OnStage) -> None:
     deadline = time.monotonic() + START_TIMEOUT_S
     data = b""
-    while not data.endswith(b"\n"):
+    while True:
         if not select.select([ready_fd], [], [], max(0.0, deadline - time.monotonic()))[0]:
             raise LabError(f"the lab was not ready within {START_TIMEOUT_S:.0f} s; its log: {log_tail(lab.folder)}")
         part = os.read(ready_fd, 65536)
         if not part:
-            break
-        data += part
-    if not data.endswith(b"\n"):
-        raise LabError(f"the lab's supervisor ended before the lab was ready; its log: {log_tail(lab.folder)}")
-    answer = json.loads(data)
+            raise LabError(f"the lab's supervisor ended before the lab was ready; its log: {log_tail(lab.folder)}")
+        *lines, data = (data + part).split(b"\n")
+        for answer in map(json.loads, lines):
+            if "stage" not in answer:
+                _check(answer)
+                return
+            on_stage(answer["stage"])
+
+
+def _check(answer: dict[str, str]) -> None:
     if "error" in answer:
         raise (MachineError if answer["kind"] == "machine" else LabError)(answer["error"])
 

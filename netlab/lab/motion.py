@@ -1,21 +1,23 @@
 """Nodes in motion: where they are as the scenario's time goes on, and what depends on that.
 
-Theory. Everybody's place is a function of the scenario's time, so a tick that comes late, or not at all, changes
-nothing of where a node is at the next one. Ticks are at whole multiples of ``TICK_S`` of scenario time; a late one is
-not made up for. Before t = 0 all nodes are where they begin.
+Theory. Everybody's place is a function of script time (the scenario's time less the holds, see
+:mod:`netlab.timeline.schedule`), so a tick that comes late, or not at all, changes nothing of where a node is at the
+next one. Ticks are at whole multiples of ``TICK_S`` of script time; a late one is not made up for. Before t = 0 all
+nodes are where they begin.
 """
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from netlab.capture.scene import Passage, Pose, map_message, poses_message
 from netlab.errors import LabError
 from netlab.lab.links import Links
 from netlab.lab.scenario_run import carried
+from netlab.scenario.events import Event
 from netlab.scenario.model import Scenario
 from netlab.scenario.motion import tracks
 from netlab.timeline import carried_pairs
@@ -46,6 +48,8 @@ class Motion:
         #: Whether something else than places changes with time.
         self.always_ticks = False
         self.on_failure: Callable[[str], None] = lambda text: None
+        #: For how long the timeline has been held so far, in nanoseconds.
+        self.held_ns: Callable[[], int] = lambda: 0
         self._t0_ns: int | None = None
         self._task: asyncio.Task[None] | None = None
 
@@ -65,7 +69,7 @@ class Motion:
         terrain = self._scenario.terrain
         if terrain is not None:
             passages = [Passage(t.name, t.path, t.width_m, t.height_m) for t in terrain.tunnel_map.tunnels]
-            self._recording.message("/map", map_message(passages, now_ns), now_ns)
+            self._recording.message("/map", map_message(passages), now_ns)
         self._record_poses(0.0, now_ns)
 
     def begin(self, t0_ns: int) -> None:
@@ -100,6 +104,40 @@ class Motion:
         if self._t0_ns is not None:
             self.begin(self._t0_ns)
 
+    def now_s(self) -> float:
+        """Script time, 0 before it begins."""
+        return 0.0 if self._t0_ns is None else max(0.0, (time.time_ns() - self._t0_ns - self.held_ns()) / 1e9)
+
+    def place(self, node: str) -> tuple[float, ...]:
+        """Where a node is now."""
+        return self.tracks[list(self._scenario.nodes).index(node)].at(self.now_s()).position_m
+
+    def deploy(self, node: str) -> None:
+        """A carried node lies on the ground from now on, where it is.
+
+        Raises:
+            LabError: Nobody carries it (any more).
+        """
+        at_s = self.now_s()
+        if self.tracks[list(self._scenario.nodes).index(node)].active_from_s <= at_s:
+            raise LabError(f"'{node}' lies on the ground already")
+        others = [event for event in self._scenario.events if event.deploy != node]
+        self._replan([*others, Event.model_construct(at_s=at_s, deploy=node)], at_s)
+
+    def forestall(self, index: int) -> None:
+        """A move or a deployment of the scenario (its place in `events`) happens now and not at its time."""
+        at_s = self.now_s()
+        events = list(self._scenario.events)
+        events[index] = events[index].model_copy(update={"at_s": at_s})
+        self._replan(events, at_s)
+
+    def _replan(self, events: Sequence[Event], at_s: float) -> None:
+        self._scenario = self._scenario.model_copy(update={"events": tuple(events)})
+        self.tracks, self._moves_at_all = tracks(self._scenario, self._moves), True
+        self.tick(at_s)
+        if self._t0_ns is not None:
+            self.begin(self._t0_ns)
+
     def tick(self, at_s: float, *, poses: bool = True) -> None:
         """Let a scenario time take effect now."""
         self.on_tick(at_s)
@@ -113,11 +151,10 @@ class Motion:
     async def _run(self, t0_ns: int) -> None:
         number = 0
         while True:
-            reached = int((time.time_ns() - t0_ns) / 1e9 / TICK_S)
+            reached = int(self.now_s() / TICK_S)
             number = max(number + 1, reached)
             at_s = number * TICK_S
-            wait_s = (t0_ns - time.time_ns()) / 1e9 + at_s
-            if wait_s > 0:
+            while (wait_s := (t0_ns + self.held_ns() - time.time_ns()) / 1e9 + at_s) > 0:
                 await asyncio.sleep(wait_s)
             self.tick(at_s, poses=self._moves_at_all and number % _TICKS_PER_POSE == 0)
 
@@ -126,7 +163,7 @@ class Motion:
         for node, track in zip(self._scenario.nodes, self.tracks, strict=True):
             state = track.at(at_s)
             poses.append(Pose(node, state.position_m, state.heading_deg, at_s >= track.active_from_s))
-        self._recording.message("/poses", poses_message(poses, at_s, now_ns), now_ns)
+        self._recording.message("/poses", poses_message(poses, at_s), now_ns)
 
 
 def set_in_motion(scenario: Scenario, plan: LabPlan, links: Links, recording: Recording) -> Motion:

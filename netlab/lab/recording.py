@@ -5,6 +5,7 @@ Without a capture every method is a no-op, so that nobody else has to ask.
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import time
@@ -14,6 +15,7 @@ from typing import Any
 
 from netlab.capture.handle import Recorder
 from netlab.capture.messages import RecorderStats
+from netlab.errors import LabError
 from netlab.ipc import start_module
 from netlab.lab.process import ProcessSpec
 
@@ -21,10 +23,14 @@ from netlab.lab.process import ProcessSpec
 class Recording:
     """One run's recording, or none (``Recording(None)``)."""
 
-    def __init__(self, recorder: Recorder | None) -> None:
+    def __init__(self, recorder: Recorder | None, file: str | None = None) -> None:
         self._recorder = recorder
+        #: The file that is written to now.
+        self.file = file
         self._log_feeds: dict[tuple[str, str], int] = {}
         self.lines_dropped = 0
+        #: A file for the timeline's rows (JSON lines), with a capture or without.
+        self.journal: Path | None = None
 
     @classmethod
     def start(cls, path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes], nodes: int) -> Recording:
@@ -36,7 +42,7 @@ class Recording:
         channel, _pid = start_module("netlab.capture.recorder")
         recorder = Recorder(channel)
         recorder.open(str(path), metadata, attachments, nodes=nodes)
-        return cls(recorder)
+        return cls(recorder, str(path))
 
     @property
     def active(self) -> bool:
@@ -79,6 +85,9 @@ class Recording:
     def timeline(self, kind: str, label: str, *, at_s: float | None, ago_s: float = 0.0, **more: Any) -> None:
         """Record an act on the lab, stamped ``ago_s`` before now."""
         payload = {"kind": kind, "label": label, "at_s": at_s, **more}
+        if self.journal is not None:
+            with self.journal.open("a") as journal:
+                journal.write(json.dumps(payload) + "\n")
         self.message("/timeline", payload, time.time_ns() - round(ago_s * 1e9))
 
     def links(self, rows: list[dict[str, Any]]) -> None:
@@ -91,10 +100,39 @@ class Recording:
         if self._recorder is not None:
             self._recorder.message(topic, payload, t_ns)
 
+    def open_file(self, path: Path) -> None:
+        """Finish the present file and go on in another one.
+
+        Raises:
+            LabError: Nothing has been recorded from the start: nobody listens to the processes then.
+            CaptureError: The file cannot be created.
+        """
+        if self._recorder is None:
+            raise LabError("this lab was started without a recorder; start it with --capture FILE")
+        self._recorder.open_file(str(path))
+        self.file = str(path)
+
+    def close_file(self) -> None:
+        """Finish the present file; onlookers go on."""
+        if self._recorder is not None:
+            self._recorder.close_file()
+        self.file = None
+
+    def subscribe(self, fd: int, *, packets: bool) -> None:
+        """Show what is recorded at a stream socket too. Raises LabError where nothing is recorded."""
+        if self._recorder is None:
+            raise LabError("this lab records nothing, so there is nothing to follow; start it with --capture FILE")
+        self._recorder.subscribe(fd, packets=packets)
+
     def set_t0(self, t0_ns: int) -> None:
         """Declare scenario time zero."""
         if self._recorder is not None:
             self._recorder.set_t0(t0_ns)
+
+    def set_duration(self, duration_s: float) -> None:
+        """Declare for how long traffic is published, when that has changed."""
+        if self._recorder is not None:
+            self._recorder.set_metadata({"duration_s": repr(duration_s)})
 
     def sync(self) -> None:
         """Wait until all that was asked for is recorded from now on. Raises CaptureError."""

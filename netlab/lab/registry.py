@@ -41,6 +41,11 @@ class LabFolder:
         return self.path / "logs"
 
     @property
+    def journal(self) -> Path:
+        """The rows of the lab's timeline so far, JSON lines."""
+        return self.path / "timeline.jsonl"
+
+    @property
     def lock(self) -> Path:
         """Locked by the supervisor for its whole life."""
         return self.path / "lock"

@@ -1,4 +1,7 @@
-"""What the control socket can ask of a running lab: one method per request, named ``_do_`` and the request's ``do``."""
+"""What the control socket can ask of a running lab: one method per request, named ``_do_`` and the request's ``do``.
+
+What changes the lab is in :mod:`netlab.lab.acts`.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +11,19 @@ from typing import Any, Protocol
 
 from netlab.engines.base import LabPlan
 from netlab.errors import LabError
+from netlab.lab.acts import Acts
 from netlab.lab.control import Connection, Reply, Request
-from netlab.lab.links import Links, parse_words
-from netlab.lab.motion import Motion
-from netlab.lab.process import State
 from netlab.lab.processes import Processes, kill_group
 from netlab.lab.recording import Recording
-from netlab.lab.scenario_run import READY_LIMIT_S, Phase, ScenarioRun, wait_for_state, wait_ready
-from netlab.medium.impairments import PERFECT
-from netlab.medium.segments import SegmentKind
-from netlab.timeline import Kind, MoveNode, SetPairs
-from netlab.timeline.impairments import impairment
+from netlab.lab.scenario_run import Phase, ScenarioRun
 
 
 class RunningLab(Protocol):
     """The parts of a lab that requests act on."""
 
     plan: LabPlan
-    links: Links
     processes: Processes
     recording: Recording
-    motion: Motion
     run: ScenarioRun
 
     def status(self) -> dict[str, Any]: ...
@@ -39,8 +34,9 @@ class RunningLab(Protocol):
 class Requests:
     """Answers the control socket's requests for one lab."""
 
-    def __init__(self, lab: RunningLab) -> None:
+    def __init__(self, lab: RunningLab, acts: Acts) -> None:
         self._lab = lab
+        self._acts = acts
 
     async def handle(self, request: Request, fds: list[int], connection: Connection) -> Reply | None:
         """Answer one control request; its ``do`` names a method ``_do_...``.
@@ -49,10 +45,13 @@ class Requests:
             LabError: Unknown request, or it cannot be done.
         """
         method = getattr(self, f"_do_{request.get('do')}", None)
-        if method is None:
+        if method is not None:
+            reply: Reply | None = await method(request, fds, connection)
+            return reply
+        done = await self._acts.do(request)
+        if done is None:
             raise LabError(f"unknown request {request.get('do')!r}")
-        reply: Reply | None = await method(request, fds, connection)
-        return reply
+        return done
 
     async def _do_status(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
         return self._lab.status()
@@ -90,65 +89,15 @@ class Requests:
         connection.on_close = lambda: None
         connection.send({"exit": status})
 
-    async def _do_outage(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        a, b = request["between"]
-        pairs, _kind = self._lab.links.between(a, b, one_way=bool(request.get("one_way")))
-        active = bool(request["active"])
-        self._lab.links.set_outage("person", pairs, active=active)
-        self._record_act("outage", f"outage {a}-{b} {'begins' if active else 'ends'}", None if active else (a, b))
-        return {"ok": True}
-
-    async def _do_carrier(self, request: Request, fds: list[int], connection: Connection) -> Reply:
-        a, b = request["between"]
-        pairs, kind = self._lab.links.between(a, b)
-        if kind is not SegmentKind.WIRE:
-            return await self._do_outage(request | {"active": not request["up"]}, fds, connection)
-        up = bool(request["up"])
-        if up:  # whole again, also where one direction was cut
-            self._lab.links.set_outage("person", pairs, active=False)
-        self._lab.links.set_carrier("person", {port for pair in pairs for port in pair}, up=up)
-        self._record_act("carrier", f"link {a}-{b} {'up' if up else 'down'}", (a, b) if up else None)
-        return {"ok": True}
-
-    async def _do_link(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        a, b = request["between"]
-        pairs, _kind = self._lab.links.between(a, b, one_way=bool(request.get("one_way")))
-        words = parse_words(a, b, request["words"])
-        if words.rssi_dbm is not None and any(self._lab.links.signals.rssi_dbm(pair) is not None for pair in pairs):
-            raise LabError(f"link {a} {b}: rssi follows places, or a measured file, here; move a node, or set loss")
-        changes = {pair: impairment(words, self._lab.links.impairment(pair) or PERFECT) for pair in pairs}
-        label = f"link {a}-{b}: " + ", ".join(f"{key}={value}" for key, value in request["words"].items())
-        await self._lab.run.apply(SetPairs(changes), Kind.LINK, label, at_s=self._lab.run.t_s)
-        return {"ok": True}
-
-    async def _do_move(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        node, to_m, speed_mps = request["node"], tuple(map(float, request["to"])), request.get("speed_mps")
-        self._lab.motion.move(node, to_m, at_s=max(0.0, self._lab.run.t_s or 0.0), speed_mps=speed_mps)
-        place = ", ".join(f"{value:g}" for value in to_m)
-        await self._lab.run.apply(MoveNode(node), Kind.MOVE, f"move {node} to [{place}]", at_s=self._lab.run.t_s)
-        return {"ok": True}
-
-    async def _do_kill(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        process = self._lab.processes.get(request["node"], request["process"])
-        self._lab.processes.stop(process, signal.SIGKILL)
-        await wait_for_state(process, State.EXITED, 5.0)
-        return {"ok": True}
-
-    async def _do_start(self, request: Request, _fds: list[int], _connection: Connection) -> Reply:
-        process = self._lab.processes.get(request["node"], request["process"])
-        if process.state is not State.EXITED:
-            raise LabError(f"{request['node']}: {request['process']} is {process.state} already")
-        self._lab.processes.start(process.spec)
-        await wait_ready([process], READY_LIMIT_S)
+    async def _do_subscribe(self, request: Request, fds: list[int], _connection: Connection) -> Reply:
+        if len(fds) != 1:
+            raise LabError("subscribe takes one descriptor: a stream socket")
+        self._lab.recording.subscribe(fds[0], packets=bool(request.get("packets")))
         return {"ok": True}
 
     async def _do_down(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:
         asyncio.get_running_loop().call_later(0.01, self._lab.end)  # after the answer is out
         return {"ok": True}
-
-    def _record_act(self, kind: str, label: str, restores: tuple[str, str] | None) -> None:
-        self._lab.recording.timeline(kind, label, at_s=self._lab.run.t_s, restores=list(restores) if restores else None)
-        self._lab.recording.links(self._lab.links.describe())
 
 
 def _hang_up(pid: int, ended: asyncio.Future[int]) -> None:

@@ -134,7 +134,7 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
         "engine": final["engine"],
         "clock": clock_here(),
         "seed": final["seed"],
-        "duration_s": scenario.duration_s,
+        "duration_s": trace.duration_s,
         "bring_up_s": final["bring_up_s"],
         **summary(trace),
         "medium": final.get("medium"),

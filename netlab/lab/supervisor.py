@@ -16,10 +16,12 @@ import pickle
 import resource
 import signal
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from netlab.capture.layout import LAYOUT_NAME, layout_file
 from netlab.capture.metadata import run_metadata
 from netlab.clock import begin_in_step, clock_here
 from netlab.engines import mesh_interfaces
@@ -29,6 +31,7 @@ from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import MachineError, NetlabError
 from netlab.ipc import start_module
 from netlab.kernel import syscalls
+from netlab.lab.acts import Acts
 from netlab.lab.box import run_in_box
 from netlab.lab.control import ControlServer
 from netlab.lab.isolation import keep_paths
@@ -64,6 +67,8 @@ class Supervisor:
         self._failures: list[str] = []
         self._scenario_task: asyncio.Task[None] | None = None
         self._stalls = StallWatch()
+        #: Told what is being done while the lab comes up.
+        self.tell: Callable[[str], None] = lambda what: None
 
     # -- building -------------------------------------------------------------------------------------------------
 
@@ -84,10 +89,12 @@ class Supervisor:
         self._engine_name, self._engine = make_engine(self._options.engine, self.plan, later)
         channel, _pid = start_module("netlab.lab.spawner")
         begin_in_step()
+        self.tell(f"connecting {len(self.plan.nodes)} nodes")
         self._bring_up_s = self._engine.bring_up()
         self._bring_up_s += mesh_interfaces.bring_up(self.plan, self._engine.namespace_fds)
         self.links = Links(self.plan, self._engine)
         self.recording = self._start_recording()
+        self.recording.journal = self._folder.journal
         self.processes = Processes(channel, self._folder.logs, _node_environment(), str(Path.cwd()))
         self.processes.open_events = self.recording.open_events
         self.processes.on_line = self.recording.line
@@ -111,12 +118,15 @@ class Supervisor:
         mesh_interfaces.wait_for_processes(self.plan, self._engine.namespace_fds)
         self.run.specs_of = lambda node: node_processes(self._scenario, node, folder, self.plan)
         self.run.on_start = self.motion.begin
+        self.run.forestall = self.motion.forestall
+        self.motion.held_ns = lambda: round(self.run.motion_standstill.total_s(self.run.t_s or 0.0) * 1e9)
         self.motion.on_failure = self._fail
         self.run.in_contact = lambda a, b: self.motion.in_contact(a, b)
         self.run.contacts = self.motion.contacts
         specs = [spec for node in self._scenario.at_rest for spec in self.run.specs_of(node)]
-        await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S)
-        self._control = ControlServer(self._folder.control_socket, Requests(self).handle)
+        await wait_ready([self.processes.start(spec) for spec in specs], READY_LIMIT_S, self.tell)
+        self.acts = Acts(self)
+        self._control = ControlServer(self._folder.control_socket, Requests(self, self.acts).handle)
 
     def _plan_at_start(self) -> LabPlan:
         """Put the radios whose strengths change on the air; returns the plan of who hears whom then."""
@@ -134,6 +144,7 @@ class Supervisor:
         traffic = self._scenario.traffic
         metadata = run_metadata(
             scenario_text=self._options.scenario_text,
+            overrides=self._options.overrides,
             engine=self._engine_name,
             clock=clock_here(),
             duration_s=self._scenario.duration_s,
@@ -141,7 +152,8 @@ class Supervisor:
             streams=streams,
             kept_latest=[stream.index for stream in streams if traffic[stream.entry].offline == "latest"],
         )
-        recording = Recording.start(self._options.capture, metadata, {}, len(self.plan.nodes))
+        attachments = {LAYOUT_NAME: layout_file(metadata)}
+        recording = Recording.start(self._options.capture, metadata, attachments, len(self.plan.nodes))
         if self._options.packets:
             for node in self.plan.nodes:
                 interfaces = [port.ifname for port in self.plan.ports if port.node == node]
@@ -193,6 +205,9 @@ class Supervisor:
             "t_s": self.run.t_s,
             "t0_ns": self.run.t0_ns,
             "duration_s": self._scenario.duration_s,
+            "end_s": self.run.end_s,
+            "held": self.run.schedule.is_held,
+            "coming": self.run.coming(),
             "bring_up_s": self._bring_up_s,
             "nodes": list(self.plan.nodes),
             "processes": [process.describe() for process in self.processes.all()],
@@ -204,6 +219,8 @@ class Supervisor:
             "worst_stall_s": self._stalls.worst_s,
             "medium": self._engine.timing(),
             "capture": str(self._options.capture) if self._options.capture else None,
+            "recording": self.recording.file,
+            "undo": self.acts.next_undo,
             "recorder": self._recorder_stats,
             "used": self._used,
         }
@@ -260,14 +277,19 @@ def _reap_orphans() -> None:
 
 
 def _say(ready_fd: int, answer: dict[str, Any]) -> None:
-    os.write(ready_fd, json.dumps(answer).encode() + b"\n")
+    _write(ready_fd, answer)
     os.close(ready_fd)
+
+
+def _write(ready_fd: int, told: dict[str, Any]) -> None:
+    os.write(ready_fd, json.dumps(told).encode() + b"\n")
 
 
 async def _main(folder: LabFolder, ready_fd: int) -> int:
     scenario, options = pickle.loads((folder.path / "scenario.pickle").read_bytes())
     try:
         supervisor = Supervisor(folder, scenario, options)
+        supervisor.tell = lambda what: _write(ready_fd, {"stage": what})
         await supervisor.build()
     except NetlabError as error:
         _say(ready_fd, {"error": str(error), "kind": "machine" if isinstance(error, MachineError) else "lab"})

@@ -126,7 +126,10 @@ class _Source:
             self._sent[index] = max(0, math.ceil((late_s - phase_s) / streams[0].interval_s))
 
     def run(self, events: BinaryIO, command: socket.socket, *, t0_ns: int, duration_s: float) -> None:
-        """Publish message k at t0 + phase + k * interval, as long as that lies before the duration."""
+        """Publish message k at t0 + phase + k * interval, as long as that lies before the duration.
+
+        Until that is over, ``{"duration_s": ...}`` on ``command`` changes it.
+        """
         next_report_s = REPORT_INTERVAL_S
         while True:
             due_s, index = min(
@@ -135,9 +138,13 @@ class _Source:
                     zip(self._phase_s, self._sent, self._publications, strict=True)
                 )
             )
+            told_s = _new_duration(command, t0_ns + round(min(due_s, duration_s) * 1e9))
+            if told_s is not None:
+                duration_s = told_s
+                if duration_s > 0:
+                    continue
             if due_s >= duration_s:
                 break
-            _sleep_until_ns(t0_ns + round(due_s * 1e9))
             for record in self._publish(index):
                 _write(events, record)
             if due_s >= next_report_s:
@@ -197,13 +204,15 @@ class _Sink:
         if stream is None:
             return None
         self._delivered[stream.stream].add(seq)
-        self._recent_s[stream.stream].append((t_ns - published_ns) / 1e9)
+        latency_s = (t_ns - published_ns) / 1e9
+        self._recent_s[stream.stream].append(latency_s)
         return {
             "event": "received",
             "stream": stream.stream,
             "seq": seq,
             "published_ns": published_ns,
             "t_ns": t_ns,
+            "latency_s": latency_s,
             "size_bytes": len(message.payload),
             "source": message.source,
         }
@@ -255,6 +264,13 @@ def _median(values: deque[float]) -> float | None:
     return sorted(values)[len(values) // 2] if values else None
 
 
-def _sleep_until_ns(deadline_ns: int) -> None:
-    while (left_ns := deadline_ns - time.time_ns()) > 0:
-        time.sleep(left_ns / 1e9)
+def _new_duration(command: socket.socket, deadline_ns: int) -> float | None:
+    """Sleep until a time; a new duration that the lab tells meanwhile ends the sleep (0: the lab is gone)."""
+    wait_s = max(0.0, (deadline_ns - time.time_ns()) / 1e9)
+    while not select.select([command], [], [], wait_s)[0]:
+        if (wait_s := (deadline_ns - time.time_ns()) / 1e9) <= 0:
+            return None
+    data = command.recv(4096)
+    if not data:  # the lab is gone, and this process will be, too
+        return 0.0
+    return float(json.loads(data)["duration_s"])

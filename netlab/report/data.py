@@ -165,6 +165,43 @@ def envelope(series: Points, *, columns: int) -> Points:
     return Points(tuple(at_s for at_s, _ in kept), tuple(value for _, value in kept))
 
 
+def thinned_path(places: Sequence[tuple[float, float]], *, most: int = 400) -> list[tuple[float, float]]:
+    """Thin a way out to ``most`` places at most, its corners first: what lies straight between two others can go.
+
+    A place stays that is farther from the line between its neighbours than a tolerance, which grows until few are left
+    (Ramer 1972, Douglas and Peucker 1973).
+    """
+    extent = max((max(axis) - min(axis) for axis in zip(*places, strict=True)), default=0.0)
+    tolerance = extent / 4000
+    kept = _simplified(list(places), tolerance)
+    while len(kept) > most:
+        tolerance *= 2
+        kept = _simplified(kept, tolerance)
+    return kept
+
+
+def _simplified(places: list[tuple[float, float]], tolerance: float) -> list[tuple[float, float]]:
+    keep, todo = {0, len(places) - 1}, [(0, len(places) - 1)]
+    while todo:
+        first, last = todo.pop()
+        far, at = max(
+            ((_distance(places[i], places[first], places[last]), i) for i in range(first + 1, last)), default=(0.0, 0)
+        )
+        if far > tolerance:
+            keep.add(at)
+            todo += [(first, at), (at, last)]
+    return [places[i] for i in sorted(keep)]
+
+
+def _distance(place: tuple[float, float], start: tuple[float, float], end: tuple[float, float]) -> float:
+    """From a place to the straight piece between two others."""
+    along = (end[0] - start[0], end[1] - start[1])
+    length2 = along[0] ** 2 + along[1] ** 2
+    part = ((place[0] - start[0]) * along[0] + (place[1] - start[1]) * along[1]) / length2 if length2 else 0.0
+    part = min(max(part, 0.0), 1.0)
+    return math.dist(place, (start[0] + part * along[0], start[1] + part * along[1]))
+
+
 class Contact:
     """When messages went between a node and the base, in either direction."""
 
@@ -182,8 +219,12 @@ class Contact:
         )
 
     def at(self, at_s: float) -> bool:
-        """Whether something that was published lately came through without waiting longer than that."""
-        return bisect_right(self._heard_s, at_s) > bisect_left(self._heard_s, at_s - self._within_s)
+        """Whether something that was published lately came through without waiting longer than that.
+
+        At the very beginning nothing was published before: what follows soon counts.
+        """
+        until_s = max(at_s, self._within_s)
+        return bisect_right(self._heard_s, until_s) > bisect_left(self._heard_s, at_s - self._within_s)
 
 
 @dataclass(frozen=True, slots=True)

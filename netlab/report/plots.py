@@ -1,199 +1,189 @@
-"""The plots of a report: data in, SVG out. Nothing is worked out here."""
+"""The plots of a run over its time and by topic: data in, SVG out. Nothing is worked out here.
+
+Every function draws one figure per run; with two runs the figures are narrower and share their axes.
+"""
 
 from __future__ import annotations
 
-import functools
-import io
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
-import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from netlab.report import palette
-from netlab.report.data import Arrivals, Contact, Grid, Points, envelope
-from netlab.report.scene import Scene
+from netlab.report.data import Arrivals, Grid, Points, envelope
+from netlab.report.drawing import (
+    COLUMNS,
+    in_style,
+    legend_above,
+    look,
+    new_figure,
+    same_axes,
+    svg,
+    width_of,
+)
+from netlab.report.marks import Marks
+from netlab.report.words import counted, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_P = ParamSpec("_P")
-_WIDTH_IN = 8.5
-_COLUMNS = 400
 _ROW_IN = 0.22
-# Each release of matplotlib has another type for this.
-_STYLE: Any = {
-    "svg.fonttype": "none",  # text stays text: small, and in the page's own font
-    "svg.hashsalt": "netlab",
-    "font.size": 9.0,
-    "text.color": palette.INK,
-    "axes.edgecolor": palette.INK,
-    "axes.labelcolor": palette.INK,
-    "axes.titlesize": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": palette.FAINT,
-    "xtick.color": palette.INK,
-    "ytick.color": palette.INK,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "legend.frameon": False,
-    "lines.linewidth": 1.3,
-}
+_BINS_MAX = 80
 
 
-def _in_style(draw: Callable[_P, str]) -> Callable[_P, str]:
-    """Colours and sizes are taken when a part of a plot is made."""
-
-    @functools.wraps(draw)
-    def drawn(*args: _P.args, **kwargs: _P.kwargs) -> str:
-        with matplotlib.rc_context(_STYLE):
-            return draw(*args, **kwargs)
-
-    return drawn
-
-
-@_in_style
-def intermessage_times(found: Sequence[Arrivals]) -> str:
+@in_style
+def intermessage_times(runs: Sequence[Sequence[Arrivals]]) -> list[str]:
     """Histogram and density of the times between receipts, with the fitted normal; one panel per stream."""
+    return [_arrivals(found, width_of(runs)) if found else "" for found in runs]
+
+
+def _arrivals(found: Sequence[Arrivals], width_in: float) -> str:
     columns = min(len(found), 2)
-    figure, axes = _figure(math.ceil(len(found) / columns), columns, height_in=2.6)
+    figure, axes = new_figure(math.ceil(len(found) / columns), columns, height_in=2.7, width_in=width_in)
     for panel, entry in zip(axes, found, strict=False):
         _density(panel, entry)
-    return _svg(figure)
+    return svg(figure, "Histograms of the times between messages with fitted normal distributions")
 
 
 def _density(axes: Axes, entry: Arrivals) -> None:
     mean, sigma = entry.mean_s, max(entry.sigma_s, entry.interval_s * 1e-4)
-    reach = max(4 * sigma, 0.05 * entry.interval_s)
+    reach = max(5 * sigma, 0.01 * entry.interval_s)
     low, high = mean - reach, mean + reach
     shown = [value for value in entry.intervals_s if low <= value <= high]
-    bins = min(max(round(math.sqrt(len(shown))), 10), 60) | 1  # an odd number: the mean is in the middle of one
-    axes.hist(shown, bins=bins, range=(low, high), density=True, color=palette.SERIES[0], alpha=0.55, label="measured")
+    bins = min(round(6 * reach / sigma), _BINS_MAX) | 1  # an odd number: the mean is in the middle of one
+    axes.axvspan(mean - sigma, mean + sigma, color=palette.SERIES[1], alpha=0.14, linewidth=0)
+    axes.hist(shown, bins=bins, range=(low, high), density=True, color=palette.SERIES[0], alpha=0.6, label="measured")
     at = [low + (high - low) * step / 200 for step in range(201)]
     curve = [math.exp(-(((x - mean) / sigma) ** 2) / 2) / (sigma * math.sqrt(2 * math.pi)) for x in at]
-    axes.plot(at, curve, color=palette.SERIES[1], label=f"N({mean:.3f} s, {entry.sigma_s:.3f} s)")
-    axes.axvspan(mean - sigma, mean + sigma, color=palette.SERIES[1], alpha=0.14, linewidth=0)
+    fitted = f"N({mean:.3f} s, {entry.sigma_s:.3f} s)"
+    axes.plot(at, curve, color=palette.SERIES[1], linestyle="--", label=fitted)
     outside = len(entry.intervals_s) - len(shown)
     beyond = f", {outside} beyond" if outside else ""
-    axes.set_title(
-        f"{entry.stream}\n{len(entry.intervals_s)} intervals{beyond}, {entry.gaps} gap{'s' * (entry.gaps != 1)}"
-    )
+    gaps = counted(entry.gaps, "gap")
+    axes.set_title(f"{typeset(str(entry.stream))}\n{len(entry.intervals_s)} intervals{beyond}, {gaps}", pad=20)
     axes.set(xlabel="time since the message before, s", ylabel="density, 1/s", xlim=(low, high))
-    axes.legend(fontsize=8)
+    axes.locator_params(axis="x", nbins=5)
+    legend_above(axes, width_in=3.0)
 
 
-@_in_style
-def tunnel_map(scene: Scene, contacts: Mapping[str, Contact]) -> str:
-    """Tunnels, and every node's path by whether it was connected to the base."""
-    figure, (axes,) = _figure(1, 1, height_in=4.6)
-    for places in scene.tunnels.values():
-        axes.plot(*zip(*places, strict=True), color=palette.FAINT, linewidth=7, solid_capstyle="round", zorder=1)
-    for node, path in scene.paths.items():
-        _path(axes, path, contacts.get(node))
-        _, x, y = path[-1]
-        axes.plot(x, y, marker="o", markersize=5, color=palette.INK, zorder=4)
-        axes.annotate(node, (x, y), xytext=(5, 5), textcoords="offset points", zorder=5)
-    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
-    axes.set_adjustable("datalim")
-    axes.margins(0.08)
-    names = {"connected": palette.GOOD, "not connected": palette.BAD, "no traffic with the base": palette.UNKNOWN}
-    handles = [Line2D([], [], color=colour, linestyle=_DASH[colour], label=name) for name, colour in names.items()]
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=3)
-    return _svg(figure)
-
-
-_DASH: dict[str, Literal["-", ":", "--"]] = {palette.GOOD: "-", palette.BAD: ":", palette.UNKNOWN: "--"}
-
-
-def _path(axes: Axes, path: Sequence[tuple[float, float, float]], contact: Contact | None) -> None:
-    """Draw a path in pieces of one state each; a piece begins where the one before ends."""
-    piece: list[tuple[float, float]] = []
-    colour = ""
-    for at_s, x, y in path:
-        known = contact is not None and contact.is_known
-        now = palette.UNKNOWN if not known else palette.GOOD if contact and contact.at(at_s) else palette.BAD
-        if now != colour and piece:
-            _piece(axes, [*piece, (x, y)], colour)
-            piece = []
-        colour = now
-        piece.append((x, y))
-    _piece(axes, piece, colour)
-
-
-def _piece(axes: Axes, places: Sequence[tuple[float, float]], colour: str) -> None:
-    step = max(len(places) // _COLUMNS, 1)
-    thinned = [*places[::step], places[-1]]
-    order = 3.5 if colour == palette.BAD else 3.0  # seen also where the node came back the same way, connected
-    width = 3.5 if colour == palette.BAD else 2.0
-    axes.plot(*zip(*thinned, strict=True), color=colour, linestyle=_DASH[colour], linewidth=width, zorder=order)
-
-
-@_in_style
-def data_volumes(found: Mapping[str, Mapping[str, int]]) -> str:
+@in_style
+def data_volumes(runs: Sequence[Mapping[str, Mapping[str, int]]]) -> list[str]:
     """Bars of delivered payload by topic, stacked by publishing node."""
-    figure, (axes,) = _figure(1, 1, height_in=0.9 + 0.36 * len(found))
+    nodes = sorted({node for found in runs for by_node in found.values() for node in by_node})
+    totals = [sum(by_node.values()) for found in runs for by_node in found.values()]
+    scale, unit = size_unit(max(totals, default=1))
+    figures = [_bars(found, nodes, scale, unit, width_of(runs)) if found else None for found in runs]
+    same_axes([figure.axes[0] for figure in figures if figure is not None], y=False)
+    words = "Bars of the delivered payload by topic and publishing node"
+    return ["" if figure is None else svg(figure, words) for figure in figures]
+
+
+def _bars(
+    found: Mapping[str, Mapping[str, int]], nodes: Sequence[str], scale: float, unit: str, width_in: float
+) -> Figure:
+    figure, (axes,) = new_figure(1, 1, height_in=1.0 + 0.34 * len(found), width_in=width_in)
     topics = sorted(found, key=lambda topic: sum(found[topic].values()))
-    nodes = sorted({node for by_node in found.values() for node in by_node})
-    scale, unit = _unit(max(sum(by_node.values()) for by_node in found.values()))
     left = [0.0] * len(topics)
     for number, node in enumerate(nodes):
         sizes = [found[topic].get(node, 0) / scale for topic in topics]
-        colour = palette.SERIES[number % len(palette.SERIES)]
-        hatch = ("", "////", "....", "xxxx")[number // len(palette.SERIES) % 4]
-        axes.barh(topics, sizes, left=left, label=node, color=colour, hatch=hatch, edgecolor=palette.PAGE)
+        own = look(number)
+        axes.barh(topics, sizes, left=left, label=node, color=own.colour, hatch=own.hatch, edgecolor=palette.PAGE)
         left = [a + b for a, b in zip(left, sizes, strict=True)]
     for topic, total in zip(topics, left, strict=True):
-        own_scale, own_unit = _unit(total * scale)
-        text = f"{total * scale / own_scale:.3g} {own_unit}"
+        text = size_text(total * scale)
         axes.annotate(text, (total, topic), xytext=(4, 0), textcoords="offset points", va="center")
     axes.set(xlabel=f"delivered payload, {unit}")
     axes.set_xlim(0, 1.15 * max(left))
     axes.grid(False, axis="y")
-    _legend_beside(axes)
-    return _svg(figure)
+    legend_above(axes, width_in=width_in - 1)
+    return figure
 
 
-@_in_style
-def latency_by_priority(found: Mapping[int, Points], acts_s: Sequence[float]) -> str:
-    """Latency of every message over time, coloured by priority, on a logarithmic scale; lines at ``acts_s``."""
-    figure, (axes,) = _figure(1, 1, height_in=3.2)
-    for number, (priority, series) in enumerate(found.items()):
-        thin = envelope(series, columns=_COLUMNS)
+@in_style
+def latency_by_priority(runs: Sequence[tuple[Mapping[int, Points], Marks]]) -> list[str]:
+    """Latency of every message over time, by priority, on a logarithmic scale, with what happened meanwhile."""
+    priorities = sorted({priority for found, _ in runs for priority in found})
+    figures = [_latency(found, marks, priorities, width_of(runs)) if found else None for found, marks in runs]
+    same_axes([figure.axes[0] for figure in figures if figure is not None])
+    words = "Latency of every message over the time of its publication, by priority"
+    return ["" if figure is None else svg(figure, words) for figure in figures]
+
+
+def _latency(found: Mapping[int, Points], marks: Marks, priorities: Sequence[int], width_in: float) -> Figure:
+    figure, (axes,) = new_figure(1, 1, height_in=3.5, width_in=width_in)
+    for priority, series in reversed(list(found.items())):  # the most urgent on top
+        thin = envelope(series, columns=COLUMNS)
         values_ms = [max(value, 1e-6) * 1e3 for value in thin.values]
-        marker = "os^Dv*P"[number % 7]
-        colour = palette.SERIES[number % len(palette.SERIES)]
-        axes.plot(thin.at_s, values_ms, marker, markersize=2.5, color=colour, label=f"priority {priority}")
-    _mark(axes, acts_s)
+        own = look(priorities.index(priority))
+        axes.plot(
+            thin.at_s, values_ms, own.marker, markersize=2.8, color=own.colour, label=f"priority {priority}", alpha=0.85
+        )
     axes.set(xlabel="published at, s", ylabel="latency, ms", yscale="log")
-    _legend_beside(axes)
-    return _svg(figure)
+    axes.margins(y=0.12)  # room for the number above a ring
+    handles = [*reversed(axes.get_legend_handles_labels()[0]), *_mark(axes, marks)]
+    for number, at_s, latency_s in marks.worst:
+        _ring(axes, number, at_s, max(latency_s, 1e-6) * 1e3)
+    legend_above(axes, width_in=width_in - 0.8, handles=handles)
+    return figure
 
 
-@_in_style
-def queue_depths(found: Mapping[str, Points], acts_s: Sequence[float]) -> str:
-    """Payload that waits or is under way, by publishing node, over time; lines at ``acts_s``."""
-    figure, (axes,) = _figure(1, 1, height_in=3.0)
-    scale, unit = _unit(max(max(series.values) for series in found.values()))
-    for number, (node, series) in enumerate(found.items()):
-        thin = envelope(series, columns=_COLUMNS)
-        colour, dash = palette.SERIES[number % len(palette.SERIES)], palette.DASHES[number // len(palette.SERIES) % 4]
+def _ring(axes: Axes, number: str, x: float, y: float) -> None:
+    """Mark the worst instance of an expectation by the number that it has in their table."""
+    axes.plot([x], [y], "o", markersize=9, markerfacecolor="none", markeredgecolor=palette.INK, markeredgewidth=1.4)
+    axes.annotate(
+        number,
+        (x, y),
+        xytext=(0, 8),
+        textcoords="offset points",
+        ha="center",
+        fontsize=8,
+        fontweight="bold",
+        zorder=6,
+    )
+
+
+@in_style
+def queue_depths(runs: Sequence[tuple[Mapping[str, Points], Marks]]) -> list[str]:
+    """Payload that waits or is under way, by publishing node, over time."""
+    nodes = sorted({node for found, _ in runs for node in found})
+    most = max((max(series.values) for found, _ in runs for series in found.values()), default=1.0)
+    figures = [_queues(found, marks, nodes, most, width_of(runs)) if found else None for found, marks in runs]
+    same_axes([figure.axes[0] for figure in figures if figure is not None])
+    words = "Payload published and not yet delivered over time, by publishing node"
+    return ["" if figure is None else svg(figure, words) for figure in figures]
+
+
+def _queues(found: Mapping[str, Points], marks: Marks, nodes: Sequence[str], most: float, width_in: float) -> Figure:
+    figure, (axes,) = new_figure(1, 1, height_in=3.0, width_in=width_in)
+    scale, unit = size_unit(most)
+    for node, series in found.items():
+        thin, own = envelope(series, columns=COLUMNS), look(nodes.index(node))
         sizes = [value / scale for value in thin.values]
-        axes.step(thin.at_s, sizes, where="post", color=colour, linestyle=dash, label=node)
-    _mark(axes, acts_s)
+        axes.step(thin.at_s, sizes, where="post", color=own.colour, linestyle=own.dash, label=node)
+    handles = [*axes.get_legend_handles_labels()[0], *_mark(axes, marks)]
     axes.set(xlabel="time, s", ylabel=f"payload, {unit}", ylim=(0, None))
-    _legend_beside(axes)
-    return _svg(figure)
+    legend_above(axes, width_in=width_in - 0.8, handles=handles)
+    return figure
 
 
-@_in_style
-def link_quality(found: Grid, *, label: str, least: float | None = None, most: float | None = None) -> str:
+@in_style
+def link_quality(
+    runs: Sequence[Grid], *, label: str, least: float | None = None, most: float | None = None
+) -> list[str]:
     """One row per directed pair of nodes, coloured by a quantity over time; blank where nothing was sent."""
-    figure, (axes,) = _figure(1, 1, height_in=max(1.0 + _ROW_IN * len(found.rows), 2.2))
+    known = [value for found in runs for row in found.values for value in row if value is not None]
+    least = min(known, default=0.0) if least is None else least
+    most = max(known, default=1.0) if most is None else most
+    return [_heat(found, label, least, most, width_of(runs)) if found.rows else "" for found in runs]
+
+
+def _heat(found: Grid, label: str, least: float, most: float, width_in: float) -> str:
+    height_in = max(1.0 + _ROW_IN * len(found.rows), 2.4)
+    figure, (axes,) = new_figure(1, 1, height_in=height_in, width_in=width_in)
     values = [[math.nan if value is None else value for value in row] for row in found.values]
     end_s = found.start_s + found.column_s * len(found.values[0])
     extent = (found.start_s, end_s, len(found.rows) - 0.5, -0.5)
@@ -203,35 +193,31 @@ def link_quality(found: Grid, *, label: str, least: float | None = None, most: f
     axes.set_yticks(range(len(found.rows)), found.rows)
     axes.set(xlabel="time, s")
     axes.grid(False)
-    figure.colorbar(image, ax=axes, label=label, pad=0.02)
-    return _svg(figure)
+    figure.colorbar(image, ax=axes, label=label, pad=0.015, fraction=0.03, aspect=max(20, 7 * height_in))
+    return svg(figure, f"{label.partition(',')[0].capitalize()} over time, one row per directed pair of nodes")
 
 
-def _unit(most: float) -> tuple[float, str]:
+def size_unit(most: float) -> tuple[float, str]:
     """A divisor and its unit, so that ``most`` bytes are a number of few digits."""
     return next(((scale, unit) for scale, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")) if most >= scale), (1, "B"))
 
 
-def _mark(axes: Axes, acts_s: Sequence[float]) -> None:
-    for at_s in acts_s:
-        axes.axvline(at_s, color=palette.UNKNOWN, linestyle=":", linewidth=1.4, zorder=0.5)
+def size_text(size_bytes: float) -> str:
+    """A size for a person."""
+    scale, unit = size_unit(size_bytes)
+    return f"{size_bytes / scale:.3g} {unit}"
 
 
-def _legend_beside(axes: Axes) -> None:
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
-
-
-def _figure(rows: int, columns: int, *, height_in: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(_WIDTH_IN, height_in * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
-    flat = [panel for row in axes for panel in row]
-    return figure, flat
-
-
-def _svg(figure: Figure) -> str:
-    for unused in (axes for axes in figure.axes if not axes.has_data()):
-        unused.set_visible(False)
-    text = io.StringIO()
-    figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    whole = text.getvalue()
-    return palette.with_variables(whole[whole.index("<svg") :])
+def _mark(axes: Axes, marks: Marks) -> list[Line2D | Patch]:
+    """Draw what was done to the lab, and when links were down; returns the keys to it."""
+    handles: list[Line2D | Patch] = []
+    for at_s in marks.acts_s:
+        axes.axvline(at_s, color=palette.UNKNOWN, linestyle=":", linewidth=1.3, zorder=0.5)
+    if marks.acts_s:
+        handles.append(Line2D([], [], color=palette.UNKNOWN, linestyle=":", label="act on the lab"))
+    for start_s, end_s in marks.down_s:
+        axes.axvspan(start_s, end_s, facecolor="none", edgecolor=palette.FAINT, hatch="///", linewidth=0, zorder=0.2)
+    if marks.down_s:
+        patch = Patch(facecolor="none", edgecolor=palette.UNKNOWN, hatch="///", linewidth=0, label="link down")
+        handles.append(patch)
+    return handles

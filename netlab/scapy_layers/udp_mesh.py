@@ -32,7 +32,7 @@ from scapy.layers.inet import UDP
 from scapy.packet import Packet, Raw, bind_layers
 
 PORT = 8700
-HEADER_FLAGS = ["unnumbered", "ack_now", "sealed", "bridged"]
+HEADER_FLAGS = ["unnumbered", "ack_now", "sealed", "bridged", "ack_later"]
 SEAL_BYTES = 8
 
 

@@ -47,6 +47,7 @@ def check_topology(scenario: Scenario, doubt: Doubt) -> Iterator[Problem]:
     yield from _links(scenario, names)
     yield from check_meshes(scenario)
     yield from _neighbours(scenario, names)
+    yield from _team(scenario, names)
     if scenario.radio is not None:
         yield from _radio_pairs(scenario, scenario.radio, names)
         yield from _radio_trace(scenario, scenario.radio, names)
@@ -64,6 +65,15 @@ def _neighbours(scenario: Scenario, names: Names) -> Iterator[Problem]:
                 yield path, complaint
             elif name in scenario.nodes and name != node and names.certain and not _is_next_to(scenario, node, name):
                 yield path, f"'{node}' and '{name}' {why_apart(scenario, node, name)}"
+
+
+def _team(scenario: Scenario, names: Names) -> Iterator[Problem]:
+    """Teams of udp_mesh: nodes that exist, near or far."""
+    own = [(("nodes", name, "udp_mesh"), node.udp_mesh) for name, node in scenario.nodes.items()]
+    for path, settings in ((("udp_mesh",), scenario.udp_mesh), *own):
+        for position, name in enumerate((settings.team if settings else None) or ()):
+            if complaint := names.complaint(name):
+                yield (*path, "team", position), complaint
 
 
 def _is_next_to(scenario: Scenario, a: str, b: str) -> bool:

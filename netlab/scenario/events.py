@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,7 +13,7 @@ from netlab.scenario.quantities import MetresPerSecond, PositiveSeconds, Seconds
 from netlab.scenario.words import Words
 
 MOST_CYCLES = 10_000
-KINDS = ("outage", "flap", "link", "kill", "deploy", "move")
+KINDS = ("outage", "flap", "link", "kill", "deploy", "move", "mark", "hold")
 
 
 class PathEvent(Ends):
@@ -86,10 +86,14 @@ class Event(StrictModel):
     restart_s: Seconds | None = Field(default=None, alias="restart")
     deploy: NodeName | None = None
     move: MoveWords | None = None
+    mark: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """A moment worth finding again; only the record of it."""
+    hold_s: PositiveSeconds | None = Field(default=None, alias="hold")
+    """All motion, and a radio's trace, stand still for so long; other events keep their times."""
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        given = [kind for kind in KINDS if getattr(self, kind) is not None]
+        given = [kind for kind in KINDS if getattr(self, "hold_s" if kind == "hold" else kind) is not None]
         if len(given) != 1:
             raise ValueError(f"give exactly one of {', '.join(KINDS)}; found {' and '.join(given) or 'none'}")
         if self.restart_s is not None and self.kill is None:

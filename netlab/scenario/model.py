@@ -92,6 +92,17 @@ class Scenario(StrictModel):
         """The nodes that take part from the start, in order: all but those that are carried."""
         return tuple(name for name, node in self.nodes.items() if node.carried_by is None)
 
+    @property
+    def holds(self) -> tuple[tuple[float, float], ...]:
+        """When motion stands still: (from, for) in seconds, sorted and apart from one another."""
+        spans: list[tuple[float, float]] = []
+        for from_s, for_s in sorted((e.at_s, e.hold_s) for e in self.events if e.hold_s is not None):
+            if spans and from_s <= sum(spans[-1]):
+                last_s = spans.pop()
+                from_s, for_s = last_s[0], max(sum(last_s), from_s + for_s) - last_s[0]
+            spans.append((from_s, for_s))
+        return tuple(spans)
+
     def wires(self) -> tuple[Wire, ...]:
         """The wires that `links` makes, in the order of their first appearance."""
         return wires(self.links)

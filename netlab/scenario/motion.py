@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -124,10 +124,26 @@ def tracks(scenario: Scenario, moves: tuple[Move, ...] = ()) -> list[Track]:
     return choreography(scenario, moves).tracks()
 
 
+def earlier(at_s: float, holds: Sequence[tuple[float, float]]) -> float:
+    """How far motion has come at a scenario time: less the holds (from, for, sorted) until then."""
+    return at_s - sum(min(for_s, at_s - from_s) for from_s, for_s in holds if from_s < at_s)
+
+
+def later(motion_s: float, holds: Sequence[tuple[float, float]]) -> float:
+    """The scenario time at which motion has come to ``motion_s``: the inverse of :func:`earlier`."""
+    at_s = motion_s
+    for from_s, for_s in holds:
+        at_s += for_s if from_s < at_s else 0.0
+    return at_s
+
+
 def motions(scenario: Scenario) -> dict[str, Motion]:
     """How every node means to move, before any `move` event."""
     recorded = scenario.motion.tracks if scenario.motion is not None else {}
-    deployed = {event.deploy: event.at_s for event in reversed(scenario.events) if event.deploy is not None}
+    holds = scenario.holds
+    deployed = {
+        event.deploy: earlier(event.at_s, holds) for event in reversed(scenario.events) if event.deploy is not None
+    }
     return {
         name: recorded.get(name) or _motion(node, deployed.get(name, NEVER_S)) for name, node in scenario.nodes.items()
     }
@@ -135,8 +151,9 @@ def motions(scenario: Scenario) -> dict[str, Motion]:
 
 def scheduled_moves(scenario: Scenario) -> tuple[Move, ...]:
     """The `move` events, in the order of the file."""
+    holds = scenario.holds
     return tuple(
-        Move(event.at_s, event.move.node, event.move.to, event.move.speed_mps)
+        Move(earlier(event.at_s, holds), event.move.node, event.move.to, event.move.speed_mps)
         for event in scenario.events
         if event.move is not None
     )

@@ -107,6 +107,7 @@ class MeshSettings(StrictModel):
     key: TeamKeys | None = None
     bridge: Switch | None = None
     neighbours: tuple[str, ...] | None = None
+    team: tuple[str, ...] | None = None
 
     def daemon_config(self) -> dict[str, Any]:
         """The keys that are given, as the daemon's configuration names them (times in seconds, sizes in bytes)."""

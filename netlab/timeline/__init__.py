@@ -5,24 +5,30 @@ from netlab.timeline.entries import (
     Action,
     DeployNode,
     Entry,
+    HoldMotion,
     KillProcess,
     Kind,
     MoveNode,
+    Nothing,
     SetCarrier,
     SetOutage,
     SetPairs,
     StartProcess,
 )
 from netlab.timeline.routes import MeshRoutes, carried_pairs
+from netlab.timeline.schedule import Schedule
 
 __all__ = [
     "Action",
     "DeployNode",
     "Entry",
+    "HoldMotion",
     "KillProcess",
     "Kind",
     "MeshRoutes",
     "MoveNode",
+    "Nothing",
+    "Schedule",
     "SetCarrier",
     "SetOutage",
     "SetPairs",

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING
@@ -19,13 +19,16 @@ from netlab.medium.impairments import Impairment
 from netlab.scenario.events import Event, Flap, Kill, LinkChange, Outage
 from netlab.scenario.link_trace import TraceRow
 from netlab.scenario.model import Scenario
+from netlab.scenario.motion import later
 from netlab.timeline.entries import (
     Action,
     DeployNode,
     Entry,
+    HoldMotion,
     KillProcess,
     Kind,
     MoveNode,
+    Nothing,
     Pair,
     SetCarrier,
     SetOutage,
@@ -52,7 +55,7 @@ def compile_timeline(scenario: Scenario, plan: LabPlan) -> tuple[Entry, ...]:
     """
     compiler = _Compiler(scenario, plan)
     moments = sorted(compiler.moments(), key=lambda moment: (moment.at_s, moment.ends))
-    entries = [entry for moment in moments for entry in moment.entries(moment.at_s)]
+    entries = [replace(entry, event=moment.event) for moment in moments for entry in moment.entries(moment.at_s)]
     return with_routes(entries, scenario, plan)
 
 
@@ -63,6 +66,7 @@ class _Moment:
     at_s: float
     ends: bool
     entries: Callable[[float], Iterator[Entry]]
+    event: int | None = None
 
 
 class _Compiler:
@@ -76,24 +80,34 @@ class _Compiler:
 
     def moments(self) -> Iterator[_Moment]:
         yield from self._trace_moments()
-        for event in (event for event in self._scenario.events if event.at_s < self._scenario.duration_s):
-            if event.outage is not None:
-                end_s = event.at_s + event.outage.for_s
-                yield from self._cut(event.at_s, end_s, event.outage, Hold(self._silent(event.outage)))
-            elif event.flap is not None:
-                hold = self._flap_hold(event.flap)
-                for down_s, up_s in self._down_phases(event.at_s, event.flap):
-                    yield from self._cut(down_s, up_s, event.flap, hold)
-            elif event.link is not None:
-                yield _Moment(event.at_s, False, partial(self._change, event.link))
-            elif event.kill is not None:
-                yield from self._kill_moments(event, event.kill)
-            elif event.deploy is not None:
-                dropped = DeployNode(event.deploy, self._places.pairs_of(event.deploy))
-                yield _Moment(event.at_s, True, partial(_alone, Kind.DEPLOY, f"deploy {event.deploy}", dropped))
-            elif event.move is not None:
-                moved = MoveNode(event.move.node)
-                yield _Moment(event.at_s, False, partial(_alone, Kind.MOVE, move_text(event.move), moved))
+        for index, event in enumerate(self._scenario.events):
+            if event.at_s < self._scenario.duration_s:
+                yield from (replace(moment, event=index) for moment in self._event_moments(event))
+
+    def _event_moments(self, event: Event) -> Iterator[_Moment]:
+        if event.outage is not None:
+            end_s = event.at_s + event.outage.for_s
+            yield from self._cut(event.at_s, end_s, event.outage, Hold(self._silent(event.outage)))
+        elif event.flap is not None:
+            hold = self._flap_hold(event.flap)
+            for down_s, up_s in self._down_phases(event.at_s, event.flap):
+                yield from self._cut(down_s, up_s, event.flap, hold)
+        elif event.link is not None:
+            yield _Moment(event.at_s, False, partial(self._change, event.link))
+        elif event.kill is not None:
+            yield from self._kill_moments(event, event.kill)
+        elif event.deploy is not None:
+            dropped = DeployNode(event.deploy, self._places.pairs_of(event.deploy))
+            yield _Moment(event.at_s, True, partial(_alone, Kind.DEPLOY, f"deploy {event.deploy}", dropped))
+        elif event.move is not None:
+            moved = MoveNode(event.move.node)
+            yield _Moment(event.at_s, False, partial(_alone, Kind.MOVE, move_text(event.move), moved))
+        elif event.mark is not None:
+            yield _Moment(event.at_s, False, partial(_alone, Kind.MARK, event.mark, Nothing()))
+        elif event.hold_s is not None:
+            yield _Moment(event.at_s, False, partial(_alone, Kind.HOLD, "motion stands still", HoldMotion(True)))
+            goes_on = partial(_alone, Kind.RESUME, "motion goes on", HoldMotion(False))
+            yield _Moment(event.at_s + event.hold_s, True, goes_on)
 
     def _silent(self, part: Outage | Flap) -> frozenset[Pair]:
         wire, radio = self._places.meant(part)
@@ -169,7 +183,8 @@ class _Compiler:
             return
         rows = [row for row in self._radio_words.later_rows if row.at_s < self._scenario.duration_s]
         for moment_s, together in groupby(rows, key=lambda row: row.at_s):
-            yield _Moment(moment_s, False, partial(self._trace, self._radio_words, tuple(together)))
+            change = partial(self._trace, self._radio_words, tuple(together))
+            yield _Moment(later(moment_s, self._scenario.holds), False, change)
 
     def _trace(self, radio_words: RadioWords, rows: tuple[TraceRow, ...], at_s: float) -> Iterator[Entry]:
         changes: dict[Pair, Impairment | None] = {}

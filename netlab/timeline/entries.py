@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from netlab.medium.impairments import Impairment
@@ -25,6 +25,9 @@ class Kind(StrEnum):
     DEPLOY = "deploy"
     MOVE = "move"
     RADIO = "radio"
+    MARK = "mark"
+    HOLD = "hold"
+    RESUME = "resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,19 @@ class MoveNode:
     node: str
 
 
-Action = SetPairs | SetOutage | SetCarrier | KillProcess | StartProcess | DeployNode | MoveNode
+@dataclass(frozen=True, slots=True)
+class Nothing:
+    """Only the record matters."""
+
+
+@dataclass(frozen=True, slots=True)
+class HoldMotion:
+    """Let everybody's motion stand still, or go on."""
+
+    active: bool
+
+
+Action = SetPairs | SetOutage | SetCarrier | KillProcess | StartProcess | DeployNode | MoveNode | Nothing | HoldMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +105,7 @@ class Entry:
 
     ``restores`` names the two nodes that nothing scheduled keeps apart any more, when this entry ended the last of it.
     Of nodes in a mesh, ``reroutes`` names the ends of streams that still have a path after this cut, ``rejoins`` those
-    that have one again.
+    that have one again. ``event`` is the event's place in the scenario's `events`, None for a row of a radio trace.
     """
 
     at_s: float
@@ -100,3 +115,4 @@ class Entry:
     restores: tuple[str, str] | None = None
     reroutes: tuple[tuple[str, str], ...] = ()
     rejoins: tuple[tuple[str, str], ...] = ()
+    event: int | None = field(default=None, compare=False)

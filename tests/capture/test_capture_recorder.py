@@ -73,6 +73,7 @@ def test_a_recording_from_open_to_close(rig: Rig, tmp_path: Path) -> None:
     assert payloads(path, "/timeline") == [{"t_ns": T0_NS, "kind": "start", "at_s": 0.0, "label": "start"}]
     assert [entry["peer"] for entry in payloads(path, "/a/udp_mesh/events")] == ["b"]
     with Capture.open(path) as capture:
+        assert capture.losses == {"lines of feeds": 1}, "the file itself tells what it lacks"
         assert capture.metadata == {"name": "pair", "seed": "7", "t0_ns": str(T0_NS)}
         assert capture.attachments == {"scenario.yaml": b"name: pair\n"}
         assert [record.message for record in capture.records() if isinstance(record, LogLine)] == ["ready"]

@@ -95,3 +95,43 @@ def test_a_person_moves_nodes_one_after_the_other() -> None:
         moving.move("x", (0.0, 0.0), at_s=4.0)
     with pytest.raises(LabError, match="'b' is still carried"):
         moving.move("b", (0.0, 0.0), at_s=4.0)
+
+
+def test_while_the_timeline_is_held_nothing_moves_and_nothing_ticks() -> None:
+    async def run() -> tuple[float, list[float], float]:
+        moving, _notes = motion()
+        ticks: list[float] = []
+        done = asyncio.Event()
+        begun_ns, held_since_ns = time.time_ns(), 0
+        moving.held_ns = lambda: time.time_ns() - held_since_ns if held_since_ns else 0
+
+        def on_tick(at_s: float) -> None:
+            ticks.append(at_s)
+            if len(ticks) == 3:
+                done.set()
+
+        moving.on_tick = on_tick
+        moving.begin(begun_ns)
+        await asyncio.wait_for(done.wait(), 10)
+        held_since_ns = time.time_ns()
+        stood_s, count = moving.now_s(), len(ticks)
+        await asyncio.sleep(0.2)
+        moving.end()
+        return stood_s, ticks[count:], moving.now_s()
+
+    stood_s, ticks, after_s = asyncio.run(run())
+    assert ticks == []
+    assert after_s == pytest.approx(stood_s, abs=0.001)
+
+
+def test_a_relay_is_dropped_where_its_carrier_is_now() -> None:
+    async def run() -> tuple[float, ...]:
+        moving, _notes = motion()
+        moving.begin(time.time_ns() - 5_000_000_000)
+        moving.deploy("b")
+        with pytest.raises(LabError, match="on the ground already"):
+            moving.deploy("b")
+        moving.end()
+        return moving.tracks[1].at(9.0).position_m
+
+    assert asyncio.run(run())[0] == pytest.approx(5.0, abs=0.5)

@@ -90,7 +90,7 @@ def random_datagram(rng: Random) -> bytes:
     """Return a datagram that every decoder takes."""
     return bytes(
         UdpMesh(
-            flags=rng.choice([0, 1, 2, 3, 8, 11]),
+            flags=rng.choice([0, 1, 2, 3, 8, 11, 16]),
             epoch=rng.choice(EPOCHS),
             destination_tag=rng.choice([0, 7, 8]),
             packet_number=rng.choice([rng.randrange(50), rng.getrandbits(48)]),
@@ -117,7 +117,7 @@ ODD: dict[str, tuple[dict[str, Any], str]] = {
     "another protocol": ({"magic": b"uX"}, "foreign"),
     "a later version": ({"version": 2}, "unknown_version"),
     "version 0": ({"version": 0}, "unknown_version"),
-    "a flag of the future": ({"flags": 0x10}, "unknown_flags"),
+    "a flag of the future": ({"flags": 0x20}, "unknown_flags"),
     "sealed, and we have no key": ({"flags": 0x04, "sealed": bytes(40)}, "sealed"),
     "an unknown frame": ({"frames": [Ping(), Raw(b"\x09")]}, "unknown_frame"),
     "frame type 0": ({"frames": [Raw(bytes(30))]}, "unknown_frame"),

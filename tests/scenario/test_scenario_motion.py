@@ -12,7 +12,7 @@ import pytest
 from netlab.engines.plan import compile_plan
 from netlab.errors import ScenarioError
 from netlab.scenario import parse_scenario
-from netlab.scenario.motion import tracks
+from netlab.scenario.motion import earlier, later, tracks
 from netlab.timeline import compile_timeline
 
 TERRAIN = """\
@@ -251,3 +251,22 @@ def test_a_scenario_that_is_cut_short_leaves_out_what_comes_later() -> None:
     assert [entry.at_s for entry in compile_timeline(scenario, compile_plan(scenario))] == [5]
     [problem] = problems(text.replace("60s", "20s"))
     assert problem == "s.yaml:3: events[1].at: 50s is not before the end; duration is 20s"
+
+
+def test_motion_stands_still_while_it_is_held() -> None:
+    holds = [(2.0, 3.0), (10.0, 1.0)]
+    assert [earlier(at_s, holds) for at_s in (1.0, 2.0, 4.0, 5.0, 6.0, 10.5, 12.0)] == [1, 2, 2, 2, 3, 7, 8]
+    assert [later(motion_s, holds) for motion_s in (1.0, 2.0, 3.0, 7.0, 8.0)] == [1, 2, 6, 10, 12]
+
+
+def test_holds_that_overlap_are_one() -> None:
+    events = [{"at": at, "hold": length} for at, length in (("5s", "2s"), ("1s", "3s"), ("2s", "4s"))]
+    scenario = parse_scenario({"duration": "60s", "nodes": {"a": {}}, "events": events})
+    assert scenario.holds == ((1.0, 6.0),)
+
+
+def test_a_relay_falls_where_its_carrier_has_come_to_by_then() -> None:
+    nodes = {"a": {"waypoints": [[0, 0], [100, 0]], "speed": "1m/s"}, "b": {"carried_by": "a"}}
+    events = [{"at": "2s", "hold": "5s"}, {"at": "10s", "deploy": "b"}]
+    scenario = parse_scenario({"duration": "60s", "nodes": nodes, "events": events})
+    assert tracks(scenario)[1].at(30.0).position_m == (5.0, 0.0, 0.0)

@@ -194,7 +194,8 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         (
             "{at: 5s, outage",
             "{at: 5s, deploy: x, outage",
-            "s.yaml:12: events[0]: give exactly one of outage, flap, link, kill, deploy, move; found outage and deploy",
+            "s.yaml:12: events[0]: give exactly one of outage, flap, link, kill, deploy, move, mark, hold; "
+            "found outage and deploy",
         ),
         ("{at: 5s, outage", "{at: 5s, restart: 1s, outage", "s.yaml:12: events[0]: restart belongs to kill; remove it"),
         ("for: 3s}", "for: 3s, over: radio}", "s.yaml:12: events[0].outage.over: 'base' and 'robot1' share no radio"),

@@ -43,13 +43,20 @@ def records(capture: Path, kind: Kind) -> list[JsonRecord]:
         return [record for record in opened.records({kind}) if isinstance(record, JsonRecord)]
 
 
+def scenario_s(record: JsonRecord, t0_ns: int) -> float:
+    """When the poses are; those from before t = 0 are those at 0."""
+    return round(max((record.number("stamp_ns") - t0_ns) / 1e9, 0.0), 3)
+
+
 def test_a_robot_moves_drops_a_beacon_and_the_capture_shows_it(lab: Lab) -> None:
     result = lab.run()
     assert not result.problems
     [tunnels] = records(lab.capture, Kind.MAP)
     assert [tunnel["name"] for tunnel in tunnels.payload["tunnels"]] == ["adit", "drift"]  # type: ignore[attr-defined]
+    with Capture.open(lab.capture) as capture:
+        t0_ns = capture.t0_ns
     places = {
-        round(float(record.payload["t_s"]), 3): dict(zip(record.payload["nodes"], record.payload["poses"], strict=True))  # type: ignore[arg-type,call-overload]
+        scenario_s(record, t0_ns): dict(zip(record.payload["nodes"], record.payload["poses"], strict=True))  # type: ignore[call-overload]
         for record in records(lab.capture, Kind.POSES)
     }
     assert places[0.0]["robot"]["position"] == {"x": 110, "y": 0, "z": 0}

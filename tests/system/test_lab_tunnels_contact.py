@@ -1,7 +1,7 @@
 """How much of a short contact udp_mesh uses: held against a blind UDP sender that wastes none of it, in virtual time.
 
 The blind sender needs no acknowledgements. On a shared channel they take airtime, each with a back-off of its own.
-Measured: 77 % at a first meeting, 80 % after an earlier one.
+How it fares with other seeds is told by ``tests/udp_mesh/test_core_radio.py``.
 
 A robot drives past the mouth of a tunnel in which the base stands, and is in its sight for three seconds: those x where
 15 |x - 50| / hypot(15, x - 50) is at most half a width, 2 m, so 4.036 m, at 1.345 m/s. Behind the corner 60 dB are
@@ -68,6 +68,7 @@ def with_messages(scenario: dict[str, Any], map_rate: str) -> dict[str, Any]:
         {**common, "topic": "artifact", "priority": 1, "size": "2kB", "rate": "2Hz"},
         {**common, "topic": "map", "priority": 7, "size": "20kB", "rate": map_rate},
     ]
+    scenario["udp_mesh"] = {"team": ["base", "robot"]}  # so that it keeps what it has before they first meet
     return scenario
 
 
@@ -104,13 +105,13 @@ def test_of_a_short_contact_little_is_wasted(make_lab: MakeLab) -> None:
     first = make_lab(with_messages(passing_by([46, 0], [56, 0], duration="6s"), "60Hz"), packets=False).run()
     share = contact_bytes(first, 1.47) / blind
     print(f"first meeting: {share:.1%} of {blind} bytes")
-    assert share >= 0.70
+    assert share >= 0.75
 
     again = passing_by([50, 0], [55.4, 0], [40, 0], duration="11s")
     known = make_lab(with_messages(again, "25Hz"), packets=False).run()
     share = contact_bytes(known, 6.53) / blind
     print(f"met before: {share:.1%} of {blind} bytes")
-    assert share >= 0.77
+    assert share >= 0.85
     _assert_urgent_came_first(known, 6.53)
 
 

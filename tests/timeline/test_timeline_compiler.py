@@ -11,9 +11,11 @@ from netlab.scenario import parse_scenario
 from netlab.timeline import (
     DeployNode,
     Entry,
+    HoldMotion,
     KillProcess,
     Kind,
     MoveNode,
+    Nothing,
     SetCarrier,
     SetOutage,
     SetPairs,
@@ -308,3 +310,16 @@ def test_a_dropped_node_joins_the_ends_of_a_stream_in_a_mesh() -> None:
     )
     [entry] = entries
     assert entry.rejoins == (("a", "b"),)
+
+
+def test_a_mark_does_nothing_and_a_hold_stops_motion_for_its_time() -> None:
+    assert timeline({"at": "3s", "mark": "here"}, {"at": "5s", "hold": "2s"}) == (
+        Entry(3.0, Kind.MARK, "here", Nothing()),
+        Entry(5.0, Kind.HOLD, "motion stands still", HoldMotion(active=True)),
+        Entry(7.0, Kind.RESUME, "motion goes on", HoldMotion(active=False)),
+    )
+
+
+def test_entries_know_the_event_that_they_come_from() -> None:
+    entries = timeline({"at": "9s", "mark": "late"}, outage("5s", "1s"))
+    assert [(entry.at_s, entry.event) for entry in entries] == [(5.0, 1), (6.0, 1), (9.0, 0)]

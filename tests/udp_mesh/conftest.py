@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.udp_mesh.bridge_places import places_class
+from tests.udp_mesh.radio_net import radio_class
 from udp_mesh.core import events, wire
 from udp_mesh.core.mesh import Datagram, MeshCore, Path, PeerStatus, new_epoch
 from udp_mesh.core.settings import Settings
@@ -270,3 +271,9 @@ def make_net() -> type[Net]:
 def places() -> type[Net]:
     """The class of networks with several carriers, for tests of bridges."""
     return places_class(Net)
+
+
+@pytest.fixture(scope="session")
+def radio() -> type[Net]:
+    """The class of networks whose nodes share a radio channel."""
+    return radio_class(Net)

@@ -29,6 +29,7 @@ def test_a_whole_file_is_read(tmp_path: Path) -> None:
     assert read.settings().policy("fpv") == policy
     assert read.settings().policy("other") == TopicPolicy()
     assert read.payload_bytes == Config().payload_bytes == 1400
+    assert read.team == ()
 
 
 def test_all_mistakes_are_reported_together(tmp_path: Path) -> None:

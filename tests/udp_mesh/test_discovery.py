@@ -13,7 +13,7 @@ import pytest
 from udp_mesh.core import wire
 from udp_mesh.core.airtime import airtime_s
 from udp_mesh.core.beacons import ANYBODY
-from udp_mesh.core.events import PeerUp
+from udp_mesh.core.events import PeerDown, PeerUp
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from discovery_rig import Channel, join_delays_s
@@ -61,6 +61,7 @@ def test_the_interval_grows_with_the_team_and_slower_channels_and_is_announced(m
 def test_a_node_that_starts_says_so_several_times_and_then_rarely(make_net: Any) -> None:
     net = make_net(seed=5)
     net.keep_datagrams = True
+    net.add("b")
     net.add("a")
     net.run(5.0)
     times = [at - 100.0 for at in beacon_times(net, "a")]
@@ -68,6 +69,25 @@ def test_a_node_that_starts_says_so_several_times_and_then_rarely(make_net: Any)
     asks = [at - 100.0 for at, packet in net.packets("a") if ANYBODY in packet.probes]
     assert asks == times[:4]
     assert min(b - a for a, b in pairwise(times[3:])) > 0.85
+
+
+def test_a_node_that_has_nobody_is_heard_soon_and_promises_no_more_than_in_company(make_net: Any) -> None:
+    net = make_net(seed=5)
+    net.keep_datagrams = True
+    net.add("a")
+    net.run(5.0)
+    beacons = [(at, packet.beacons[0]) for at, packet in net.packets("a") if packet.beacons and at > 101.0]
+    gaps = [later[0] - earlier[0] for earlier, later in pairwise(beacons)]
+    assert statistics.mean(gaps) == pytest.approx(0.25, abs=0.02)
+    assert {beacon.beacon_interval_s for _at, beacon in beacons} == {1.0}
+    net.add("b")
+    net.run(10.0)
+    settled = [at for at in beacon_times(net, "a") if at > net.now - 8.0]
+    assert min(b - a for a, b in pairwise(settled)) > 0.85
+    assert not net.of("b", PeerDown)
+    net.link("a", "b", is_cut=True)
+    net.run(10.0)
+    assert len([at for at in beacon_times(net, "a") if at > net.now - 4.0]) >= 14
 
 
 def test_who_is_listed_as_heard_does_not_answer(make_net: Any) -> None:

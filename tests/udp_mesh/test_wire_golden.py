@@ -63,6 +63,13 @@ def test_a_datagram_of_all_frames_is_dissected() -> None:
     assert (packet.probes, packet.pings, packet.floors, packet.purged) == ((0, 3), 1, (2,), (8,))
 
 
+@pytest.mark.parametrize(("flags", "wanted"), [("00", (False, False)), ("02", (True, False)), ("10", (False, True))])
+def test_a_packet_says_how_soon_it_is_to_be_acknowledged(flags: str, wanted: tuple[bool, bool]) -> None:
+    packet = wire.dissect(bytes.fromhex(HEADER.replace(" 02 ", f" {flags} ", 1) + DATA))
+    assert packet is not None
+    assert (packet.ack_now, packet.ack_later) == wanted
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

@@ -30,6 +30,7 @@ FIELDS: dict[str, Callable[[Dissection], list[object]]] = {
     "flags.unnumbered": lambda p: [int(p.is_unnumbered)],
     "flags.ack_now": lambda p: [int(p.ack_now)],
     "flags.bridged": lambda p: [int(p.is_bridged)],
+    "flags.ack_later": lambda p: [int(p.ack_later)],
     "message_id": lambda p: [f.message_id for f in p.fragments],
     "priority": lambda p: [f.priority for f in p.fragments],
     "data.envelope": lambda p: [f.flags for f in p.fragments],

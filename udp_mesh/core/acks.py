@@ -6,8 +6,10 @@ from udp_mesh.core import wire
 from udp_mesh.core.rangeset import RangeSet
 
 MAX_ACK_DELAY_S = 0.004
+MAX_ACK_LATER_S = 0.02
 RUN_ACK_DELAY_S = 0.0005
 PACKETS_PER_ACK = 2
+ALERT_PACKETS = 3  # after a gap: so many later ones prove a loss (RFC 8985, section 7.2)
 REPORTED_RANGES = 32
 _REMEMBERED_RANGES = 256
 
@@ -15,10 +17,11 @@ _REMEMBERED_RANGES = 256
 class AckTracker:
     """Packets received from one peer's epoch."""
 
-    __slots__ = ("_due_at_s", "_highest_at_s", "_numbers", "_pending")
+    __slots__ = ("_alert_until", "_due_at_s", "_highest_at_s", "_numbers", "_pending")
 
     def __init__(self) -> None:
         self._numbers = RangeSet(max_ranges=_REMEMBERED_RANGES)
+        self._alert_until = -1
         self._highest_at_s = 0.0
         self._pending = 0
         self._due_at_s: float | None = None
@@ -27,8 +30,14 @@ class AckTracker:
         """Whether this packet was received before (or is so old that it is treated so)."""
         return packet_number in self._numbers
 
-    def record(self, packet_number: int, *, is_ack_eliciting: bool, ack_now: bool, now: float) -> None:
-        """Remember a packet. Out of order, asked for, or every second one: acknowledged at once, else within 4 ms."""
+    def record(
+        self, packet_number: int, *, is_ack_eliciting: bool, ack_now: bool, ack_later: bool = False, now: float
+    ) -> None:
+        """Remember a packet. Out of order, asked for, or every second one: acknowledged at once, else within 4 ms.
+
+        ``ack_later``: that it is a second one is no reason to hurry; but soon after a gap the sender waits for proof
+        of the loss.
+        """
         highest = self._numbers.highest
         self._numbers.add(packet_number)
         if packet_number > highest:
@@ -36,10 +45,13 @@ class AckTracker:
         if not is_ack_eliciting:
             return
         self._pending += 1
-        if ack_now or packet_number != highest + 1 or self._pending >= PACKETS_PER_ACK:
+        if packet_number > highest + 1:
+            self._alert_until = packet_number + ALERT_PACKETS
+        may_wait = ack_later and packet_number > self._alert_until
+        if ack_now or packet_number != highest + 1 or (self._pending >= PACKETS_PER_ACK and not may_wait):
             self._due_at_s = now
         elif self._due_at_s is None:
-            self._due_at_s = now + MAX_ACK_DELAY_S
+            self._due_at_s = now + (MAX_ACK_LATER_S if may_wait else MAX_ACK_DELAY_S)
 
     def is_new_run(self, packet_number: int) -> bool:
         """Whether this packet and all later ones were never received."""

@@ -7,6 +7,8 @@ Theory of operation, after Trickle (RFC 6206): quick while something is new, slo
   asked meanwhile, and a beacon that is due anyway is the answer.
 * Then the interval is the configured one, or longer, so that the beacons of the whole team take half of
   ``beacon_share`` of the channel. The other half is for what starts and returns.
+* A node that has nobody beacons at ``ALONE_PART`` of its interval, since whom it meets may be gone in seconds. It
+  promises the usual interval all the same, which it keeps as soon as it has company.
 * A beacon tells when the next will come, so that nobody misses one that was never promised. It is left out while
   every peer has just had a packet of ours; but never ``MAX_OMITTED`` times in a row, for those who do not know us yet.
 """
@@ -25,6 +27,7 @@ ANYBODY = 0  # in place of a tag; no node has it
 JITTER = 0.1
 START_INTERVALS = (0.1, 0.2, 0.4)
 STEADY_PART = 0.5
+ALONE_PART = 0.25
 MAX_INTERVAL_S = 60.0
 MAX_OMITTED = 2
 FRESH_PART = 0.5
@@ -121,6 +124,8 @@ class Beacons:
         if self._starts_sent < len(START_INTERVALS):
             start_s = max(START_INTERVALS[0], START_AIRTIMES * self._beacon_airtime_s())
             interval_s = min(interval_s, start_s * START_INTERVALS[self._starts_sent] / START_INTERVALS[0])
+        elif not any(peer.is_online for peer in self._state.peers.values()):
+            interval_s = min(interval_s, self._alone_s())
         self._starts_sent += 1
         self._at_s = now + self._jittered(interval_s)
 
@@ -147,9 +152,20 @@ class Beacons:
 
     def interval_s(self) -> float:
         """Return the time between beacons while nothing is new."""
+        return max(self._state.settings.beacon_interval_s, self._shared_s())
+
+    def _shared_s(self) -> float:
+        """Return the least interval at which the whole team's beacons keep to their share of the channel."""
+        shared_s = self._team() * self._beacon_airtime_s() / (STEADY_PART * self._state.settings.beacon_share)
+        return min(shared_s, MAX_INTERVAL_S)
+
+    def _alone_s(self) -> float:
+        """Return the time between beacons of a node that has nobody; on the slowest path that it knew they are few."""
         settings = self._state.settings
-        shared_s = self._team() * self._beacon_airtime_s() / (STEADY_PART * settings.beacon_share)
-        return max(settings.beacon_interval_s, min(shared_s, MAX_INTERVAL_S))
+        capacities_bps = (peer.congestion.capacity_bps for peer in self._state.peers.values())
+        slowest_bps = min((bps for bps in capacities_bps if bps), default=_FOREVER_S)
+        fair_s = 8 * PROBE_BYTES / (settings.beacon_share * slowest_bps)
+        return max(ALONE_PART * settings.beacon_interval_s, self._shared_s(), fair_s)
 
     def _team(self) -> int:
         return 1 + sum(peer.is_online and not peer.path.via for peer in self._state.peers.values())

@@ -40,6 +40,10 @@ class CongestionControl(Protocol):
         """How fast they may leave; None is unpaced."""
 
     @property
+    def ack_spacing_bytes(self) -> float:
+        """Bytes after which an acknowledgement is worth its airtime; 0: with every second packet."""
+
+    @property
     def urgent_packets(self) -> int:
         """Packets that may exceed the window and the pace, if no more than this many as urgent are in flight."""
 
@@ -71,6 +75,7 @@ class FixedWindow:
 
     urgent_packets = 0
     pacing_rate_bps: float | None = None
+    ack_spacing_bytes = 0.0
     queue_delay_s = 0.0
     capacity_bps = 0.0
 

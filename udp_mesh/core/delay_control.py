@@ -16,6 +16,9 @@ waiting there, so flows share fairly. What differs from the paper:
   falls to a lower rate takes longer for each packet, which looks like a queue but is none. So every
   ``DRAIN_INTERVAL_S``, or after ``BUSY_ROUNDS`` with a queue that will not go, one round keeps so much less in flight
   that the queue runs empty, and the least delay seen then is the base from there on.
+* A round trip that is little more than one packet's own time is a radio's: data and acknowledgements take turns there.
+  They are asked for every ``ACK_SPACING_S`` only, and round trip and window count that in. Not while a faster link is
+  being looked for, because the window moves once per round trip.
 * Where the carrier's rate is known beforehand, the window begins with that rate times ``INITIAL_RTT_S``.
 * Loss alone says nothing on a radio. Only loss of more than ``HEAVY_LOSS_RATIO`` over whole windows shrinks the window.
 * Packets leave at ``PACING_GAIN`` times window per round trip. A few urgent packets may exceed window and pace.
@@ -27,6 +30,7 @@ import math
 from collections import deque
 
 from udp_mesh.core.congestion import AckSample
+from udp_mesh.core.pacer import QUANTUM_S
 from udp_mesh.core.rtt import INITIAL_RTT_S, RttEstimator
 from udp_mesh.core.windowed import WindowedMinimum
 
@@ -44,6 +48,8 @@ DRAIN_ROUNDS = 10
 BUSY_ROUNDS = 4
 FULL_SHARE = 0.9
 MAX_AIRTIME_S = 0.008
+ACK_SPACING_S = 0.01
+SHORT_PATH_PACKETS = 3
 MIN_DATAGRAM_BYTES = 256  # less would be half headers
 FRAME_HEADER_BYTES = 42  # Ethernet, IPv4, UDP
 DATAGRAM_STEP = 64
@@ -81,7 +87,8 @@ class DelayControl:
         first_packets = MIN_PACKETS if shared_bps else INITIAL_PACKETS
         self._cwnd = hint_bytes if rate_bps else float(first_packets * datagram_bytes)
         self._held_back_bytes = 0.0  # of the window, while the queue is drained
-        self._rtt_s = 0.0
+        self._rtt_s = 0.0  # without what acknowledgements wait for each other
+        self._ack_spacing_s = 0.0
         self._base = WindowedMinimum()
         self._small_base = WindowedMinimum()
         self._rtt_base = WindowedMinimum()
@@ -109,6 +116,11 @@ class DelayControl:
     def cwnd_bytes(self) -> int:
         """Bytes that may be in flight."""
         return int(max(self._cwnd - self._held_back_bytes, self.datagram_bytes))
+
+    @property
+    def ack_spacing_bytes(self) -> float:
+        """Bytes after which an acknowledgement is worth its airtime; 0: with every second packet."""
+        return self._ack_spacing_s * self.rate_bps / 8
 
     @property
     def capacity_bps(self) -> float:
@@ -160,7 +172,7 @@ class DelayControl:
         self._standing.append(one_way_s - base_s)
         self._round_delay_s = min(self._round_delay_s, one_way_s - base_s)
         self.queue_delay_s = min(self._standing)
-        self._rtt_s = rtt_base_s + self.queue_delay_s
+        self._rtt_s = rtt_base_s + self.queue_delay_s + self._ack_spacing_s
 
     def _slow_start(self, sample: AckSample) -> None:
         """Grow by half per round trip until a queue shows; then go to what the bottleneck delivers while it has one."""
@@ -209,6 +221,7 @@ class DelayControl:
             self._move(delay_s, is_limited=is_limited)
             self._drain(delay_s, now=now)
         self._fit_datagram()
+        self._space_acks()
         self._begin_round(now=now)
 
     def _fit_datagram(self) -> None:
@@ -217,6 +230,19 @@ class DelayControl:
             packet_bps = max(self.capacity_bps, self._shared_bps)
             fitting = int(packet_bps / 8 * MAX_AIRTIME_S - FRAME_HEADER_BYTES) // DATAGRAM_STEP * DATAGRAM_STEP
             self.datagram_bytes = min(max(fitting, MIN_DATAGRAM_BYTES), self._most_datagram_bytes)
+
+    def _space_acks(self) -> None:
+        """Ask for fewer acknowledgements where they cost airtime; the window grows by what meanwhile waits for one."""
+        if self._skips_rounds or not self.capacity_bps:
+            return
+        packet_s = 8 * self.datagram_bytes / self.capacity_bps
+        path_s = self._rtt_s - self._ack_spacing_s - self.queue_delay_s
+        is_short = packet_s >= QUANTUM_S and path_s <= SHORT_PATH_PACKETS * packet_s
+        spacing_s = ACK_SPACING_S if is_short and self._calm_rounds <= CALM_ROUNDS else 0.0
+        change_s = spacing_s - self._ack_spacing_s
+        self._cwnd += change_s * self.capacity_bps / 8
+        self._rtt_s += change_s
+        self._ack_spacing_s = spacing_s
 
     def _move(self, delay_s: float, *, is_limited: bool) -> None:
         waiting = self._cwnd * delay_s / (self._rtt_s - self.queue_delay_s + delay_s)

@@ -84,7 +84,8 @@ class Dissection(NamedTuple):
     ``destination_tag`` is the low half of the addressee's epoch, 0 in a broadcast. ``probes`` are the tags of nodes
     that the sender is looking for. ``floors``: every message below this id is settled. ``purged``: messages of which
     the sender has forgotten what it had. ``backlogs`` are priorities of what waits at the sender. ``is_bridged``: a
-    bridge has passed it on. ``links``: whom else the sender, a bridge, reaches.
+    bridge has passed it on. ``links``: whom else the sender, a bridge, reaches. ``ack_now``: it is to be acknowledged
+    at once; ``ack_later``: that may wait for packets that follow.
     """
 
     epoch: int
@@ -102,6 +103,7 @@ class Dissection(NamedTuple):
     backlogs: tuple[int, ...] = ()
     is_bridged: bool = False
     links: tuple[Link, ...] = ()
+    ack_later: bool = False
 
     @property
     def is_broadcast(self) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Container
 from dataclasses import dataclass, field
 
 from udp_mesh.core import wire
+from udp_mesh.core.ack_requests import AckRequests
 from udp_mesh.core.acks import AckTracker
 from udp_mesh.core.carriers import Path
 from udp_mesh.core.congestion import CongestionControl
@@ -42,6 +43,7 @@ class Session:
         self.rtt = RttEstimator()
         self.recovery = Recovery(rtt=self.rtt, now=now)
         self.acks = AckTracker()
+        self.ack_requests = AckRequests()
         self.reassembler = Reassembler(memory)
         self.floor_sent = 0
         self.control: list[bytes] = []  # frames for the next datagram

@@ -154,7 +154,11 @@ class Receiver:
                 self._outbox.start_over(transfer, now=now)
         if is_taken:
             session.acks.record(
-                packet.packet_number, is_ack_eliciting=packet.is_ack_eliciting, ack_now=packet.ack_now, now=now
+                packet.packet_number,
+                is_ack_eliciting=packet.is_ack_eliciting,
+                ack_now=packet.ack_now,
+                ack_later=packet.ack_later,
+                now=now,
             )
 
     def _fragment(self, peer: Peer, fragment: wire.DataFragment, *, now: float) -> bool:

@@ -135,7 +135,9 @@ class Transmitter:
             session.ping_wanted = False
             frames.append(wire.PING)
             parts = []
-        out.append(self._packet(peer, frames, parts, priority=_PING_PRIORITY, ack_now=True, path=path, now=now))
+        out.append(
+            self._packet(peer, frames, parts, priority=_PING_PRIORITY, flags=wire.FLAG_ACK_NOW, path=path, now=now)
+        )
 
     def _run_length(self, peer: Peer, transfer: Transfer, *, limit: int, now: float) -> int:
         """Return how many packets of nothing but this message may leave now; less than 2 is no run."""
@@ -187,6 +189,7 @@ class Transmitter:
         parts: list[tuple[Transfer, int]] = []
         room = peer.congestion.datagram_bytes - wire.HEADER_BYTES
         priority = transfer.message.policy.priority
+        repeats = transfer.retransmits_next
         following: Transfer | None = transfer
         while following is not None:
             index = following.peek()
@@ -206,8 +209,19 @@ class Transmitter:
             room -= len(ack)
         self._add_floor(peer, frames, room)
         session.probe_credits = max(0, session.probe_credits - 1)
-        stalls = scheduler.head(peer.name) is None or not self._gate.has_window(peer, packets=2)
-        return self._packet(peer, frames, parts, priority=priority, ack_now=stalls, now=now)
+        return self._packet(
+            peer, frames, parts, priority=priority, flags=self._ack_flags(peer, frames, repeats=repeats), now=now
+        )
+
+    def _ack_flags(self, peer: Peer, frames: list[bytes | memoryview], *, repeats: bool) -> int:
+        """Return whether a packet asks for an acknowledgement; ``repeats``: see :meth:`AckRequests.flags`."""
+        stalls = self._state.scheduler.head(peer.name) is None or not self._gate.has_window(peer, packets=2)
+        return peer.session.ack_requests.flags(
+            wire.HEADER_BYTES + sum(map(len, frames)),
+            stalls=stalls,
+            repeats=repeats,
+            spacing_bytes=peer.congestion.ack_spacing_bytes,
+        )
 
     def _note_fragment(self, transfer: Transfer, index: int, number: int, *, now: float) -> None:
         what = (now, transfer.message.message_id, transfer.message.policy.priority, index, number, transfer.peer)
@@ -233,7 +247,7 @@ class Transmitter:
         parts: list[tuple[Transfer, int]] | None,
         *,
         priority: int,
-        ack_now: bool,
+        flags: int,
         path: Path | None = None,
         now: float,
     ) -> Datagram:
@@ -244,7 +258,7 @@ class Transmitter:
             epoch=self._state.epoch,
             destination_tag=session.tag,
             packet_number=number,
-            flags=wire.FLAG_ACK_NOW if ack_now else 0,
+            flags=flags,
         )
         data = b"".join((header, *frames))
         self._follow(peer, number, 1, len(data), None if parts is None else tuple(parts), priority, now=now)

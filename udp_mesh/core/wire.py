@@ -18,7 +18,8 @@ VERSION = 1
 FLAG_UNNUMBERED = 0x01
 FLAG_ACK_NOW = 0x02
 FLAG_SEALED = 0x04  # frames are encrypted (udp_mesh/core/wire_seal.py)
-_KNOWN_FLAGS = FLAG_UNNUMBERED | FLAG_ACK_NOW | FLAG_BRIDGED
+FLAG_ACK_LATER = 0x10
+_KNOWN_FLAGS = FLAG_UNNUMBERED | FLAG_ACK_NOW | FLAG_BRIDGED | FLAG_ACK_LATER
 DATA_FLAG_ENVELOPE = 0x01  # the message's payload begins with an envelope (udp_mesh/core/envelope.py)
 _HEADER = struct.Struct("!2sBBQIHI")  # magic, version, flags, sender epoch, destination tag, packet number (48 bits)
 _DATA = struct.Struct(
@@ -176,6 +177,7 @@ def decode(datagram: _Buffer) -> Dissection | BadDatagram:
         tuple(frames.backlogs),
         bool(flags & FLAG_BRIDGED),
         tuple(frames.links),
+        bool(flags & FLAG_ACK_LATER),
     )
 
 

@@ -106,8 +106,10 @@ class Durable:
         self._thread = thread
         self._outgoing = Outgoing(self._core, self.custody, thread, self._problem, self._clock, self.fates)
         self._incoming = Incoming(self._core, self._server, self.inbox, thread, self._problem)
-        for peer in self._core.peers(now=now):
-            self._outgoing.remember(peer.name)
+        heard = [peer.name for peer in self._core.peers(now=now)]
+        for name in (*heard, *self._config.team):
+            if name != self._config.name:
+                self._outgoing.remember(name)
         return self._outgoing, self._incoming
 
     def fileno(self) -> int | None:

@@ -17,6 +17,7 @@ local f = {
     ack_now = field("bool", "flags.ack_now", "Acknowledge at once", 8, nil, 0x02),
     sealed = field("bool", "flags.sealed", "Sealed", 8, nil, 0x04),
     bridged = field("bool", "flags.bridged", "Bridged", 8, nil, 0x08),
+    ack_later = field("bool", "flags.ack_later", "Acknowledgement may wait", 8, nil, 0x10),
     epoch = field("uint64", "epoch", "Sender epoch", base.HEX),
     destination_tag = field("uint32", "destination_tag", "Destination tag", base.HEX),
     number = field("uint64", "packet_number", "Packet number"),

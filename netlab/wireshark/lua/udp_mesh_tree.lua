@@ -265,7 +265,7 @@ function show.header(tvb, tree)
     tree:add(f.magic, tvb(0, 2))
     tree:add(f.version, tvb(2, 1))
     local flags = tree:add(f.flags, tvb(3, 1))
-    for _, bit in ipairs({ f.unnumbered, f.ack_now, f.sealed, f.bridged }) do
+    for _, bit in ipairs({ f.unnumbered, f.ack_now, f.sealed, f.bridged, f.ack_later }) do
         flags:add(bit, tvb(3, 1))
     end
     tree:add(f.epoch, tvb(4, 8))

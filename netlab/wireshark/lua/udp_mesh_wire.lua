@@ -220,7 +220,7 @@ function wire.read(bytes)
         packet.bad = "unknown_version"
     elseif packet.is_sealed then
         packet.bad = #bytes < wire.CLEAR_BYTES + wire.TAG_BYTES and "truncated" or nil
-    elseif packet.flags - packet.flags % 16 ~= 0 then
+    elseif packet.flags - packet.flags % 32 ~= 0 then
         packet.bad = "unknown_flags"
     else
         local at = wire.HEADER_BYTES
