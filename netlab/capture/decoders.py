@@ -9,11 +9,12 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
-from netlab.capture import batman, flood
+from netlab.capture import batman, flood, wnet
 from udp_mesh.core.envelope import decode as decode_envelope
 from udp_mesh.core.wire import DATA_FLAG_ENVELOPE, DataFragment, Dissection, dissect
 
 LINKTYPE_ETHERNET = 1
+LINKTYPE_RADIOTAP = 127
 _ETHERTYPE_IPV4 = 0x0800
 _VLAN_TYPES = (0x8100, 0x88A8)
 _IPV4 = struct.Struct("!BxHxxHxBxx4s4s")  # version and header length, total length, fragment bits, protocol, ends
@@ -53,6 +54,7 @@ class LayerTwoMesh(NamedTuple):
 MESHES = {
     batman.ETHERTYPE: LayerTwoMesh("batman-adv", batman.inner_offset),
     flood.ETHERTYPE: LayerTwoMesh("flood", lambda frame, _start: flood.inner_offset(frame)),
+    wnet.ETHERTYPE: LayerTwoMesh("wnet", wnet.inner_offset),
 }
 
 

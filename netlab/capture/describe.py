@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import struct
 
-from netlab.capture import batman, flood
-from netlab.capture.decoders import LINKTYPE_ETHERNET, MESHES, ethertype, mesh_of, traffic_of, udp_of
+from netlab.capture import batman, flood, wnet
+from netlab.capture.decoders import (
+    LINKTYPE_ETHERNET,
+    LINKTYPE_RADIOTAP,
+    MESHES,
+    ethertype,
+    mesh_of,
+    traffic_of,
+    udp_of,
+)
 from udp_mesh.core.wire import Dissection
+from wnet.io import dot11, radiotap
 
 _ETHERTYPES = {0x0806: "ARP", 0x86DD: "IPv6", 0x88CC: "LLDP"}
 _PROTOCOLS = {1: "ICMP", 2: "IGMP", 6: "TCP", 17: "UDP", 58: "ICMPv6"}
@@ -15,6 +24,8 @@ _ICMP = {0: "echo reply", 3: "unreachable", 8: "echo request", 11: "time exceede
 
 def describe_frame(frame: bytes, linktype: int) -> str:
     """Say in one line what a frame is."""
+    if linktype == LINKTYPE_RADIOTAP:
+        return _on_the_air(frame)
     if linktype != LINKTYPE_ETHERNET:
         return f"linktype {linktype}"
     datagram = udp_of(frame)
@@ -25,6 +36,18 @@ def describe_frame(frame: bytes, linktype: int) -> str:
     if mesh is None:
         return f"UDP {ends} {len(datagram.payload)} B"
     return f"{datagram.source} > {datagram.destination} mesh #{mesh.packet_number} {describe_mesh(mesh)}"
+
+
+def _on_the_air(frame: bytes) -> str:
+    """Describe what a radio in monitor mode sent or heard, and how."""
+    header = radiotap.decode(frame)
+    inner = None if header is None else dot11.decode(frame, header.length_bytes)
+    if header is None or inner is None:
+        return f"802.11 {len(frame)} B"
+    told = [f"{header.signal_dbm:g} dBm"] if header.signal_dbm is not None else []
+    told += [f"{header.rate_bps / 1e6:g} Mbit/s"] if header.rate_bps else []
+    told += ["sent"] if header.is_echo else []
+    return " ".join((*told, describe_frame(inner, LINKTYPE_ETHERNET)))
 
 
 def describe_mesh(mesh: Dissection) -> str:
@@ -53,10 +76,8 @@ def describe_mesh(mesh: Dissection) -> str:
 
 def _below_udp(frame: bytes) -> str:
     kind, start = ethertype(frame)
-    if kind == batman.ETHERTYPE:
-        return _inside(frame, batman.describe(frame, start), batman.inner_offset(frame, start))
-    if kind == flood.ETHERTYPE:
-        return _inside(frame, flood.describe(frame), flood.inner_offset(frame))
+    if kind in MESHES:
+        return _mesh(frame, kind, start)
     if kind == 0x0806 and len(frame) >= start + 28:
         return _arp(frame, start)
     if kind != 0x0800 or len(frame) < start + 20:
@@ -70,11 +91,21 @@ def _below_udp(frame: bytes) -> str:
     return f"{text} {len(frame)} B"
 
 
-def _inside(frame: bytes, header: str, inner: int | None) -> str:
+def _mesh(frame: bytes, kind: int, start: int) -> str:
     """Describe a mesh's frame by its header and by what travels inside."""
-    if inner is None or ethertype(frame[inner:])[0] in MESHES:  # nobody nests them; no endless descent
+    if kind == batman.ETHERTYPE:
+        header, inner = batman.describe(frame, start), _from(frame, batman.inner_offset(frame, start))
+    elif kind == flood.ETHERTYPE:
+        header, inner = flood.describe(frame), _from(frame, flood.inner_offset(frame))
+    else:
+        header, inner = wnet.describe(frame, start), wnet.inner_frame(frame, start)
+    if inner is None or ethertype(inner)[0] in MESHES:  # nobody nests them; no endless descent
         return f"{header} {len(frame)} B"
-    return f"{header}: {describe_frame(frame[inner:], LINKTYPE_ETHERNET)}"
+    return f"{header}: {describe_frame(inner, LINKTYPE_ETHERNET)}"
+
+
+def _from(frame: bytes, offset: int | None) -> bytes | None:
+    return None if offset is None else frame[offset:]
 
 
 def _arp(frame: bytes, start: int) -> str:

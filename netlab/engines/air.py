@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from netlab.engines.air_messages import (
+    AddMonitor,
     AirStats,
     Answer,
     AskStats,
@@ -20,8 +22,10 @@ from netlab.engines.air_messages import (
 from netlab.engines.base import LabPlan, Pair, PairCounters
 from netlab.engines.helper import HelperProcess
 from netlab.errors import LabError, MachineError
+from netlab.kernel import monitors
 from netlab.kernel.wiring import VethSpec, Wiring, build
 from netlab.medium.impairments import Impairment
+from netlab.medium.segments import Port
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,6 +41,8 @@ class AirEngine:
         self._plan = plan
         self._wiring: Wiring | None = None
         self._process: HelperProcess | None = None
+        self._veth_of: dict[int, int] = {}  # place in the wiring by port
+        self._monitors: dict[int, int] = {}  # other ends of interfaces in monitor mode, by port
 
     @property
     def namespace_fds(self) -> dict[str, int]:
@@ -56,9 +62,15 @@ class AirEngine:
             # It loads while the interfaces are made.
             self._process = HelperProcess("netlab.engines.air_process", "air")
             started = time.perf_counter()
-            self._wiring = build(self._plan.nodes, _veths(self._plan))
+            veths = [port for port in self._plan.ports if not port.radiotap]
+            self._wiring = build(self._plan.nodes, [_veth(port) for port in veths])
             took_s = time.perf_counter() - started
-            self._ask(Setup(self._plan, self._wiring.peer_ifindex))
+            far = dict(zip((port.index for port in veths), self._wiring.peer_ifindex, strict=True))
+            self._veth_of = {port.index: place for place, port in enumerate(veths)}
+            self._ask(Setup(self._plan, tuple(far.get(port.index, 0) for port in self._plan.ports)))
+            started = time.perf_counter()
+            self._add_monitors()
+            took_s += time.perf_counter() - started
         except (OSError, LabError) as error:
             self.close()
             raise MachineError(f"the air engine cannot start: {error}; `netlab doctor` says what is missing") from error
@@ -93,7 +105,9 @@ class AirEngine:
 
     def set_carrier(self, ports: set[int], *, up: bool) -> None:
         """Pull or plug the cable at these ports; frames on their way to a pulled port are lost."""
-        self._up().set_peers(sorted(ports), up=up)
+        self._up().set_peers(sorted(self._veth_of[port] for port in ports - self._monitors.keys()), up=up)
+        for port in ports & self._monitors.keys():
+            monitors.set_carrier(self._monitors[port], up=up)
 
     def record_verdicts(self, fd: int) -> None:
         """Write one ``VERDICT_RECORD`` per decision to this stream socket from now on; the caller keeps ``fd``.
@@ -136,9 +150,20 @@ class AirEngine:
         if self._process is not None:
             self._process.close()
             self._process = None
+        for fd in self._monitors.values():
+            os.close(fd)
+        self._monitors = {}
         if self._wiring is not None:
             self._wiring.close()
             self._wiring = None
+
+    def _add_monitors(self) -> None:
+        """Give the ports in monitor mode their interfaces; the process has their other ends then."""
+        for port in self._plan.ports:
+            if port.radiotap:
+                fd = monitors.create(self.namespace_fds[port.node], port.ifname)
+                self._monitors[port.index] = fd
+                self._ask(AddMonitor(port.index), [fd])
 
     def _up(self) -> Wiring:
         if self._wiring is None:
@@ -153,5 +178,5 @@ class AirEngine:
         return answer
 
 
-def _veths(plan: LabPlan) -> list[VethSpec]:
-    return [VethSpec(port.node, port.ifname, port.mac, port.address, port.mtu, f"p{port.index}") for port in plan.ports]
+def _veth(port: Port) -> VethSpec:
+    return VethSpec(port.node, port.ifname, port.mac, port.address, port.mtu, f"p{port.index}")

@@ -15,10 +15,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The first message. ``ifindexes[i]`` is the far end of ``plan.ports[i]`` in the process's network namespace."""
+    """The first message. ``ifindexes[i]`` is the far end of ``plan.ports[i]`` in the process's network namespace.
+
+    0 for a radio in monitor mode, whose other end comes with :class:`AddMonitor`.
+    """
 
     plan: LabPlan
     ifindexes: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AddMonitor:
+    """Comes with one descriptor: the other end of the interface of a port in monitor mode."""
+
+    port: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +69,7 @@ class Close:
     """Answered, then the process ends."""
 
 
-Request = Setup | SetPairs | SetOutage | SetRssi | RecordVerdicts | AskStats | Close
+Request = Setup | AddMonitor | SetPairs | SetOutage | SetRssi | RecordVerdicts | AskStats | Close
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +92,7 @@ class AirStats:
     verdicts: dict[Verdict, int]
     ring_losses: int  # the process was too slow to empty the ring
     oversized: int  # longer than the ring's slots
+    malformed: int  # without the headers of a radio in monitor mode, from one that is
     unaddressed: int  # unicast on a radio to an address that nobody owns
     not_sent: int  # refused by the kernel at the receiver's port: carrier pulled, longer than its MTU
     lost_verdicts: int  # records that the recorder did not take in time

@@ -19,7 +19,19 @@ from collections.abc import Callable
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
-from netlab.engines.air_messages import AirStats, Answer, AskStats, Done, Request, SetOutage, SetPairs, SetRssi, Setup
+from netlab.engines.air_messages import (
+    AddMonitor,
+    AirStats,
+    Answer,
+    AskStats,
+    Done,
+    Request,
+    SetOutage,
+    SetPairs,
+    SetRssi,
+    Setup,
+)
+from netlab.engines.air_monitors import Monitors
 from netlab.engines.air_ring import SLOTS_MAX, Ring
 from netlab.engines.lateness import Lateness
 from netlab.engines.medium_loop import MediumLoop, lab_channel
@@ -29,6 +41,8 @@ from netlab.medium.medium import Medium
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from netlab.medium.channel_segment import Sent
 
 _SOL_PACKET = 263
 _PACKET_QDISC_BYPASS = 20
@@ -49,6 +63,7 @@ class Air(MediumLoop):
         self._medium = Medium((), (), 0)
         super().__init__(channel, self._medium)
         self._ring: Ring | None = None
+        self._monitors = Monitors()
         self._port_of: dict[int, int] = {}
         self._send: list[Callable[[bytes], int]] = []
         self._departures: list[tuple[float, int, int, bytes]] = []  # heap of (due_s, order, port, frame)
@@ -66,6 +81,7 @@ class Air(MediumLoop):
             busy = self._receive()
             if not busy:
                 self._advance(until)
+                busy = self._inject()
             self._depart()
             self._wait(self._next_s(), busy=busy)
         self._close_verdicts()
@@ -103,13 +119,33 @@ class Air(MediumLoop):
                 self._verdicts.add(outcomes, frame, sender, arrived, stamp_ns)
         return len(arrivals) == _BURST
 
+    def _inject(self) -> bool:
+        """Queue what radios in monitor mode send; True when more may wait."""
+        taken = self._monitors.take()
+        now = time.monotonic()
+        for port, frame, rate_bps in taken:
+            self._received += 1
+            stamp_ns = time.time_ns()
+            outcomes = self._medium.inject(port, frame, rate_bps=rate_bps, now=now, tag=stamp_ns)
+            if outcomes:  # its queue was full
+                self._monitors.echo(port, frame, rate_bps)
+            if self._verdicts is not None:
+                self._verdicts.add(outcomes, frame, port, now, stamp_ns)
+        return bool(taken)
+
+    def _sources(self) -> list[int]:
+        return self._monitors.descriptors
+
     def _advance(self, until: float) -> None:
         """Let shared channels work, and schedule what they deliver."""
         for sent in self._medium.advance(now=until):
+            if sent.sender in self._monitors:
+                self._monitors.echo(sent.sender, sent.frame, sent.rate_bps)
             for due, port, received, _verdict in sent.outcomes:
                 if due >= 0:
                     self._order += 1
-                    heappush(self._departures, (due, self._order, port, received))
+                    shown = self._shown(sent, port, received) if port in self._monitors else received
+                    heappush(self._departures, (due, self._order, port, shown))
             if self._verdicts is not None:
                 self._verdicts.add(
                     sent.outcomes,
@@ -120,6 +156,14 @@ class Air(MediumLoop):
                     attempts=sent.attempts,
                     rssi_dbm=self._medium.signals_dbm(sent),
                 )
+
+    def _shown(self, sent: Sent, port: int, frame: bytes) -> bytes:
+        return self._monitors.heard(
+            frame,
+            signal_dbm=self._medium.signals_dbm(sent)[port],
+            noise_dbm=self._medium.noise_dbm(port),
+            rate_bps=sent.rate_bps,
+        )
 
     def _next_s(self) -> float | None:
         """When there is something to do if nothing arrives."""
@@ -156,6 +200,10 @@ class Air(MediumLoop):
         if isinstance(request, Setup):
             self._set_up(request)
             return Done()
+        if isinstance(request, AddMonitor):
+            self._monitors.add(request.port, fds[0])
+            self._send[request.port] = self._monitors.sender(request.port)
+            return Done()
         if isinstance(request, SetPairs | SetOutage | SetRssi):
             self._catch_up()
         if isinstance(request, SetRssi):
@@ -168,8 +216,8 @@ class Air(MediumLoop):
         plan = setup.plan
         ring = Ring(max((port.mtu for port in plan.ports), default=_BASE_MTU))
         self._medium = Medium(plan.ports, plan.segments, plan.seed)
-        self._port_of = {ifindex: port for port, ifindex in enumerate(setup.ifindexes)}
-        self._send = [_sender(ifindex) for ifindex in setup.ifindexes]
+        self._port_of = {ifindex: port for port, ifindex in enumerate(setup.ifindexes) if ifindex}
+        self._send = [_sender(ifindex) if ifindex else _nobody for ifindex in setup.ifindexes]
         self._ring = ring
         self._begin(self._medium, ring.fileno())
 
@@ -181,6 +229,7 @@ class Air(MediumLoop):
             ring_losses=ring.losses() if ring is not None else 0,
             oversized=ring.oversized if ring is not None else 0,
             unaddressed=self._medium.unaddressed,
+            malformed=self._monitors.malformed,
             not_sent=self._not_sent,
             lost_verdicts=self._lost_verdicts,
             late_max_s=self._late.max_s,
@@ -195,6 +244,10 @@ def _matrix(values: bytes) -> NDArray[np.float64]:
     flat = np.frombuffer(values, dtype=np.float32).astype(np.float64)
     count = math.isqrt(len(flat))
     return flat.reshape(count, count)
+
+
+def _nobody(_frame: bytes) -> int:
+    return 0
 
 
 def _sender(ifindex: int) -> Callable[[bytes], int]:

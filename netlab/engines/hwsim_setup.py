@@ -7,7 +7,7 @@ import ipaddress
 import time
 from collections.abc import Iterator, Mapping, Sequence
 
-from netlab.kernel import links, messages, nl80211
+from netlab.kernel import links, messages, monitors, nl80211
 from netlab.kernel import namespaces as netns
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.kernel.nl80211 import Nl80211
@@ -61,10 +61,12 @@ def set_up(ports: Sequence[Port], segment: Segment, names: Mapping[int, str], na
                 setns(namespace_fds[port.node], CLONE_NEWNET)
                 site = sites[index] = _Site(port.node)
                 stack.callback(site.close)
-                _make_interface(site, port, names[index], wifi)
-        for index, site in sites.items():
-            links.wait_until_running([(site.route, site.ifindex[index])])
-        if wifi.mode is WifiMode.MESH:
+                make = _make_monitor if port.radiotap else _make_interface
+                make(site, port, names[index], wifi)
+        joined = [index for index in sites if not ports[index].radiotap]
+        for index in joined:
+            links.wait_until_running([(sites[index].route, sites[index].ifindex[index])])
+        if wifi.mode is WifiMode.MESH and joined:
             _wait_for_peers(ports, segment, sites)
 
 
@@ -101,9 +103,20 @@ def _make_interface(site: _Site, port: Port, radio: str, wifi: Wifi) -> None:
         site.wifi.request(nl80211.join_ibss(family, index, network, wifi.frequency_mhz, _BSSID))
 
 
+def _make_monitor(site: _Site, port: Port, radio: str, wifi: Wifi) -> None:
+    """The radio of a node whose mesh sends and hears in monitor mode: it joins no network."""
+    family, wiphy = site.wifi.family, site.wifi.wiphys()[radio]
+    site.wifi.request(nl80211.new_interface(family, wiphy, port.ifname, nl80211.IFTYPE_MONITOR, port.mac))
+    index = next(link.index for link in links.list_links(site.route) if link.ifname == port.ifname)
+    site.ifindex[port.index] = index
+    site.route.request([nl80211.set_mtu(index, monitors.MTU_BYTES), messages.set_up(index, up=True)])
+    site.wifi.request(nl80211.set_channel(family, index, wifi.frequency_mhz))
+
+
 def _wait_for_peers(ports: Sequence[Port], segment: Segment, sites: Mapping[int, _Site]) -> None:
     deadline = time.monotonic() + _PEERING_LIMIT_S
-    missing = {pair for pair in segment.pairs if (pair[1], pair[0]) in segment.pairs}
+    meets = {pair for pair in segment.pairs if not any(ports[index].radiotap for index in pair)}
+    missing = {pair for pair in meets if (pair[1], pair[0]) in segment.pairs}
     while missing and time.monotonic() < deadline:
         for index in {sender for sender, _ in missing}:
             stations = sites[index].wifi.stations(sites[index].ifindex[index])

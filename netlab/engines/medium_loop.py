@@ -45,9 +45,13 @@ class MediumLoop:
             verdicts.flush()
             writing = [verdicts.fileno()] if verdicts.pending else []
         most_s = None if due_s is None else max(0.0, due_s - time.monotonic())
-        readable = select.select(self._readers, writing, [], 0.0 if busy else most_s)[0]
+        readable = select.select([*self._readers, *self._sources()], writing, [], 0.0 if busy else most_s)[0]
         if self._readers[0] in readable:
             self._answer()
+
+    def _sources(self) -> list[int]:
+        """Descriptors beside the one of :meth:`_begin` that have frames when they are readable."""
+        return []
 
     def _answer(self) -> None:
         try:

@@ -28,8 +28,12 @@ WARNING = "netem cannot share airtime among radios: each pair has its own rate a
 
 
 def without_airtime(plan: LabPlan) -> LabPlan:
-    """The plan that the netem engine gets: radios with a phy as pairs, at the strengths that the scenario gives."""
-    return replace(plan, segments=tuple(_apart(segment) for segment in plan.segments))
+    """The plan that the netem engine gets: radios with a phy as pairs, at the strengths that the scenario gives.
+
+    No radio is in monitor mode there: a pair has no rates, and nobody tells how strongly it heard.
+    """
+    ports = tuple(replace(port, radiotap=False) for port in plan.ports)
+    return replace(plan, ports=ports, segments=tuple(_apart(segment) for segment in plan.segments))
 
 
 class NetemRadios:

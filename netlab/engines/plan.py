@@ -14,7 +14,7 @@ from itertools import permutations
 
 from netlab.engines.base import LabPlan, Pair
 from netlab.medium.impairments import Impairment
-from netlab.medium.meshes import MEMBER_MTU_BYTES, MeshInterface
+from netlab.medium.meshes import MeshInterface, MeshKind
 from netlab.medium.segments import ChannelSpec, Port, Segment, SegmentKind, Wifi, WifiMode
 from netlab.scenario.links import Wire
 from netlab.scenario.model import Scenario
@@ -101,11 +101,14 @@ def _ports(scenario: Scenario, wires: Iterable[Wire]) -> tuple[list[Port], list[
 
 
 def _add_radios(scenario: Scenario, place: int, node: str, ports: list[Port], radio_ports: _RadioPorts) -> None:
+    monitors = scenario.meshes[node] is MeshKind.WNET
+    wifi = _wifi(scenario.radio) is not None
     for number, radio in enumerate(scenario.radios(node)):
         members = radio_ports.setdefault(radio.frequency_hz, [])
         channel = list(radio_ports).index(radio.frequency_hz)
         members.append((node, len(ports)))
-        ports.append(_port(scenario, node, len(ports), f"{RADIO_PREFIX}{number}", _radio_address(channel, place)))
+        port = _port(scenario, node, len(ports), f"{RADIO_PREFIX}{number}", _radio_address(channel, place))
+        ports.append(replace(port, radiotap=monitors and (radio.phy is not None or wifi)))
 
 
 def _radio_segments(scenario: Scenario, radio_ports: _RadioPorts, impairments: Impairments) -> Iterator[Segment]:
@@ -122,9 +125,10 @@ def _radio_segments(scenario: Scenario, radio_ports: _RadioPorts, impairments: I
 
 
 def _port(scenario: Scenario, node: str, index: int, ifname: str, address: str) -> Port:
-    if scenario.meshes[node] is None:
+    mesh = scenario.meshes[node]
+    if mesh is None:
         return Port(index, node, ifname, _mac(index), address)
-    return Port(index, node, ifname, _mac(index), None, mtu=MEMBER_MTU_BYTES)
+    return Port(index, node, ifname, _mac(index), None, mtu=mesh.member_mtu_bytes)
 
 
 def _meshes(scenario: Scenario, ports: Iterable[Port]) -> Iterator[MeshInterface]:
@@ -138,15 +142,17 @@ def _meshes(scenario: Scenario, ports: Iterable[Port]) -> Iterator[MeshInterface
                 kind,
                 kind.ifname,
                 _mesh_mac(place),
-                _mesh_address(place),
+                _mesh_address(place, prefix_bits=32 if kind.routes_ip else 16),
                 tuple(members[node]),
                 batman=scenario.batman_options(node),
                 flood=scenario.flood_options(node),
+                babel=scenario.babel_options(node),
+                wnet=scenario.wnet_settings(node),
             )
 
 
-def _mesh_address(place: int) -> str:
-    return f"10.240.{place // 256}.{place % 256}/16"
+def _mesh_address(place: int, *, prefix_bits: int) -> str:
+    return f"10.240.{place // 256}.{place % 256}/{prefix_bits}"
 
 
 def _mesh_mac(place: int) -> bytes:

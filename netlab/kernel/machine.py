@@ -125,7 +125,7 @@ def _devices() -> list[Finding]:
     mesh_remedy = "sudo modprobe batman-adv, or run such scenarios in a kernel that has it: netlab run FILE --in vm"
     radio_remedy = mesh_remedy.replace("batman-adv", "mac80211_hwsim radios=0", 1)
     return [
-        _tried("/dev/net/tun", probe.try_tun, "nodes with mesh: flood", tun.REMEDY),
+        _tried("/dev/net/tun", probe.try_tun, "nodes with mesh: flood, radios of mesh: wnet", tun.REMEDY),
         _tried("batman-adv", probe.try_batman, "nodes with mesh: batman-adv", mesh_remedy),
         _tried("mac80211_hwsim", hwsim.missing, "radios with driver: hwsim", radio_remedy),
     ]

@@ -19,7 +19,8 @@ IFTYPE_ADHOC = 1
 IFTYPE_MONITOR = 6
 IFTYPE_MESH_POINT = 7
 
-_GET_WIPHY, _SET_WIPHY_NETNS, _NEW_INTERFACE, _GET_STATION, _JOIN_IBSS, _JOIN_MESH = 1, 49, 7, 17, 43, 68
+_GET_WIPHY, _SET_WIPHY, _SET_WIPHY_NETNS, _NEW_INTERFACE, _GET_STATION = 1, 2, 49, 7, 17
+_JOIN_IBSS, _JOIN_MESH = 43, 68
 _WIPHY, _WIPHY_NAME, _IFINDEX, _IFNAME, _IFTYPE, _MAC, _BEACON_INTERVAL = 1, 2, 3, 4, 5, 6, 12
 _STA_INFO, _MNTR_FLAGS, _MESH_ID, _WIPHY_FREQ, _SSID, _FREQ_FIXED = 21, 23, 24, 38, 52, 60
 _CHANNEL_WIDTH, _NETNS_FD = 159, 219
@@ -74,6 +75,13 @@ def join_ibss(family: int, ifindex: int, ssid: bytes, frequency_mhz: int, bssid:
     """Join the ad-hoc network ``ssid`` with a fixed cell identifier: no scan, no merge, no waiting."""
     cell = (genl.attribute(_SSID, ssid), genl.attribute(_MAC, bssid), genl.attribute(_FREQ_FIXED))
     return genl.message(family, _JOIN_IBSS, *_network(ifindex, frequency_mhz), *cell)
+
+
+def set_channel(family: int, ifindex: int, frequency_mhz: int) -> bytes:
+    """Tune a radio whose only interfaces are monitors, by one that is up, to a 20 MHz channel without HT."""
+    width = genl.number(_CHANNEL_WIDTH, _CHAN_WIDTH_20_NOHT)
+    where = genl.number(_IFINDEX, ifindex) + genl.number(_WIPHY_FREQ, frequency_mhz)
+    return genl.message(family, _SET_WIPHY, where, width)
 
 
 def set_mtu(ifindex: int, mtu_bytes: int) -> bytes:

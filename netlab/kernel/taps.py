@@ -1,4 +1,7 @@
-"""Mesh interfaces of meshes that are a process of the node: taps that are there, addressed and up, before it starts."""
+"""Mesh interfaces of meshes that are a process of the node: there, addressed and up, before it starts.
+
+Taps, or where there are none one end of a veth.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,11 @@ from collections.abc import Iterator
 
 from pyroute2.netlink.rtnl.ifinfmsg import ifinfmsg
 
-from netlab.kernel import links, messages, tun
+from netlab.kernel import links, messages, offloads, tun
 from netlab.kernel import namespaces as netns
 from netlab.kernel.netlink import NetlinkError, NetlinkSocket
 from netlab.kernel.syscalls import CLONE_NEWNET, setns
+from wnet.io.mesh_interface import FAR_END_SUFFIX
 
 
 def create(namespace_fd: int, ifname: str, mac: bytes, address: str, mtu: int) -> None:
@@ -49,6 +53,41 @@ def create(namespace_fd: int, ifname: str, mac: bytes, address: str, mtu: int) -
             raise OSError(error.errno, f"mesh interface {ifname}: {error.strerror}") from error
         except OSError as error:
             raise OSError(error.errno, f"mesh interface {ifname}: {error.strerror} ({tun.DEVICE})") from error
+
+
+def create_veth(namespace_fd: int, ifname: str, mac: bytes, address: str, mtu: int) -> None:
+    """Make a mesh interface where there are no TAPs: one end of a veth, whose other end has the process of the mesh.
+
+    As :func:`create`, but with a carrier from the start.
+
+    Raises:
+        OSError: The kernel refuses; names the interface.
+    """
+    with _inside(namespace_fd) as sock:
+        here = netns.open_current()
+        try:
+            index = max(link.index for link in links.list_links(sock)) + 1
+            far_ifname = ifname + FAR_END_SUFFIX
+            order = messages.create_veth(
+                index=index,
+                ifname=ifname,
+                mac=mac,
+                mtu=mtu,
+                peer_index=index + 1,
+                peer_ifname=far_ifname,
+                peer_fd=here,
+                group=0,
+            )
+            quiet = [messages.no_ipv6_address(index + 1)] if netns.has_ipv6() else []
+            near_address = messages.add_address(index, ipaddress.IPv4Interface(address))
+            sock.request([order, *quiet, messages.set_up(index + 1, up=True), near_address])
+            for name in (ifname, far_ifname):
+                offloads.disable_offloads(sock.fileno(), name)
+            links.wait_until_running([(sock, index), (sock, index + 1)])
+        except NetlinkError as error:
+            raise OSError(error.errno, f"mesh interface {ifname}: {error.strerror}") from error
+        finally:
+            os.close(here)
 
 
 def wait_until_running(namespace_fd: int, ifname: str) -> None:

@@ -50,18 +50,18 @@ def node_processes(scenario: Scenario, node: str, folder: Path, plan: LabPlan | 
     return specs
 
 
-def mesh_processes(plan: LabPlan) -> list[ProcessSpec]:
-    """The processes that are nodes' meshes; to be ready before anything else starts."""
+def mesh_processes(plan: LabPlan, folder: Path) -> list[ProcessSpec]:
+    """The processes that are nodes' meshes, to be ready before anything else; their files go below ``folder``."""
     return [
-        ProcessSpec(node=process.node, name=process.name, argv=process.argv, waits_for_ready=True)
-        for process in mesh_interfaces.processes(plan)
+        ProcessSpec(node=process.node, name=process.name, argv=process.argv, waits_for_ready=process.says_ready)
+        for process in mesh_interfaces.processes(plan, folder)
     ]
 
 
 def mesh_environment(scenario: Scenario, node: str) -> dict[str, str]:
-    """What tells a node's programs which interface to use: ``NETLAB_MESH_INTERFACE``, only where there is a mesh."""
+    """What tells a node's programs which interface to use: ``NETLAB_MESH_INTERFACE``, only where a mesh has one."""
     mesh = scenario.meshes[node]
-    return {} if mesh is None else {"NETLAB_MESH_INTERFACE": mesh.ifname}
+    return {} if mesh is None or mesh.routes_ip else {"NETLAB_MESH_INTERFACE": mesh.ifname}
 
 
 def daemon_config(scenario: Scenario, node: str, plan: LabPlan | None = None) -> dict[str, Any]:
@@ -70,6 +70,9 @@ def daemon_config(scenario: Scenario, node: str, plan: LabPlan | None = None) ->
     ``plan``: where nodes have their addresses, the scenario's own if None.
     """
     settings = scenario.mesh_settings(node)
+    mesh = scenario.meshes[node]
+    if mesh is not None and mesh.routes_ip:  # no broadcast finds anybody over hops
+        settings.setdefault("neighbours", [name for name in scenario.nodes if scenario.nodes[name].process("udp_mesh")])
     if "neighbours" in settings:
         settings["neighbours"] = neighbour_addresses(plan or compile_plan(scenario), node, settings["neighbours"])
     topics: dict[str, dict[str, Any]] = {}
@@ -88,8 +91,7 @@ def daemon_config(scenario: Scenario, node: str, plan: LabPlan | None = None) ->
         topics[entry.topic] = topic | (entry.rate_limit or {})
     for name, given in settings.pop("topics", {}).items():
         topics[name] = topics.get(name, {}) | given
-    mesh = scenario.meshes[node]
-    interfaces = {} if mesh is None else {"interfaces": [mesh.ifname]}
+    interfaces = {} if mesh is None or mesh.routes_ip else {"interfaces": [mesh.ifname]}
     return {"name": node, **interfaces, **settings, "topics": topics}
 
 

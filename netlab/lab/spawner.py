@@ -31,6 +31,7 @@ from netlab.lab.usage import usage_at_end
 BUILTIN_PROGRAMS = {
     "udp-mesh-daemon": "udp_mesh.daemon:main",
     "netlab-flood": "netlab.flood.daemon:main",
+    "wnet-daemon": "wnet.daemon:main",
     "netlab-traffic-source": "netlab.lab.traffic:source_main",
     "netlab-traffic-sink": "netlab.lab.traffic:sink_main",
 }

@@ -48,6 +48,8 @@ from netlab.lab.stalls import StallWatch
 from netlab.scenario.model import Scenario
 from netlab.timeline import SetPairs, compile_timeline
 
+_NOT_FOR_NODES = ("XDG_RUNTIME_DIR", "UDP_MESH_SOCKET", "WNET_SOCKET")
+
 
 class Supervisor:
     """One lab. ``build`` makes it, ``serve`` keeps it until it is told to end; the rest is for ``Requests``."""
@@ -56,7 +58,7 @@ class Supervisor:
         self._folder = folder
         self._scenario = scenario
         self._options = options
-        self.plan = compile_plan(scenario)
+        self.plan = mesh_interfaces.fitted(compile_plan(scenario))
         self._ending = asyncio.Event()
         self._bring_up_s = 0.0
         self._recorder_stats: dict[str, Any] | None = None
@@ -100,16 +102,20 @@ class Supervisor:
         self.run = ScenarioRun(self._scenario, self.plan, self.links, self.processes, self.recording)
         self.run.plan_at_start = self._plan_at_start()
         routes = stream_routes(self._scenario, self.run.plan_at_start)
-        self.run.has_routes = lambda: not mesh_interfaces.missing_routes(self.plan, self._engine.namespace_fds, routes)
+        folder = self._folder.path
+        self.run.has_routes = lambda: (
+            not mesh_interfaces.missing_routes(
+                self.plan, self._engine.namespace_fds, lambda node, name: self.processes.get(node, name).pid, routes
+            )
+        )
         self.processes.on_exit = self.run.process_ended
         self.processes.on_lost = lambda: self._fail("the lab's fork server ended; no process is watched any more")
         text = "127.0.0.1 localhost\n::1 localhost\n" + "".join(f"{a} {n}\n" for a, n in hosts(self.plan))
         keep = keep_paths(sys.prefix, sys.base_prefix, self._folder.path, *self._options.keep_visible)
         for node in self.plan.nodes:
             self.processes.add_node(node, self._engine.namespace_fds[node], text, keep)
-        await wait_ready([self.processes.start(spec) for spec in mesh_processes(self.plan)], READY_LIMIT_S)
+        await wait_ready([self.processes.start(spec) for spec in mesh_processes(self.plan, folder)], READY_LIMIT_S)
         mesh_interfaces.wait_for_processes(self.plan, self._engine.namespace_fds)
-        folder = self._folder.path
         self.run.specs_of = lambda node: node_processes(self._scenario, node, folder, self.plan)
         self.run.on_start = self.motion.begin
         self.run.forestall = self.motion.forestall
@@ -258,7 +264,7 @@ class Supervisor:
 
 def _node_environment() -> dict[str, str]:
     """The user's environment, with this installation's programs first and without the host's runtime directory."""
-    env = {key: value for key, value in os.environ.items() if key not in ("XDG_RUNTIME_DIR", "UDP_MESH_SOCKET")}
+    env = {key: value for key, value in os.environ.items() if key not in _NOT_FOR_NODES}
     env["PATH"] = f"{Path(sys.executable).parent}:{env.get('PATH', '/usr/bin:/bin')}:/usr/sbin:/sbin"
     return env
 

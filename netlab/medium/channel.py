@@ -117,10 +117,13 @@ class Channel:
         """How strongly port ``receiver`` hears port ``sender`` now."""
         return self._receptions.rssi_dbm(self._place[sender], self._place[receiver])
 
-    def offer(self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int = 0) -> list[Fate]:
+    def offer(
+        self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int = 0, rate: Rate | None = None
+    ) -> list[Fate]:
         """Queue an Ethernet frame at ``sender`` for ``receiver``, None for whoever hears it.
 
         Call :meth:`advance` with the same ``now`` before. A ``now`` in the channel's past counts as its present.
+        ``rate`` is for group frames; None is the lowest basic one.
 
         Returns:
             What is decided at once: nothing, or that the queue is full, for everyone whom the frame concerns.
@@ -134,7 +137,7 @@ class Channel:
             return [(port, Verdict.QUEUE_FULL) for port in concerned]
         addressee = None if receiver is None else self._place[receiver]
         size_bytes = self._phy.psdu_bytes(len(frame))
-        queue.append(Queued(station, addressee, frame, now, tag, size_bytes))
+        queue.append(Queued(station, addressee, frame, now, tag, size_bytes, rate))
         self._queued_bytes[station] += len(frame)
         if len(queue) == 1:
             self._contend(station, 0, now=max(now, self._now))
@@ -187,7 +190,7 @@ class Channel:
     def _start(self, station: int, *, now: float) -> None:
         queued = self._queues[station][0]
         queued.attempts += 1
-        rate = self._phy.group_rate
+        rate = queued.rate or self._phy.group_rate
         if queued.receiver is not None:
             rate = self._rates.rate(station, queued.receiver, queued.attempts)
         duration_s = self._airtime_s(rate, queued.size_bytes)

@@ -84,7 +84,7 @@ class Receptions:
         self._cut: set[tuple[int, int]] = set()
         self._draws: dict[tuple[int, int], Callable[[], float]] = {}
         self._chances: dict[tuple[Rate, int, int], float] = {}
-        self._groups: dict[tuple[int, int], Chances] = {}
+        self._groups: dict[tuple[int, int, Rate], Chances] = {}
 
     def set_rssi(self, rssi_dbm: list[list[float]]) -> None:
         """How strongly each receiver hears each sender: ``[sender][receiver]``, -inf for not at all."""
@@ -117,7 +117,7 @@ class Receptions:
 
     def group(self, signal: Signal) -> list[tuple[int, Verdict]]:
         """What each receiver in the sender's audience makes of a group frame."""
-        key = (signal.sender, signal.size_bytes)
+        key = (signal.sender, signal.size_bytes, signal.rate)
         chances = self._groups.get(key)
         if chances is None:
             chances = self._groups[key] = self._prepare(signal)

@@ -11,7 +11,10 @@ from netlab.medium.verdicts import Verdict
 
 @dataclass(slots=True, eq=False)
 class Queued:
-    """A frame in a station, and what has become of it so far. ``receiver`` None: whoever hears it."""
+    """A frame in a station, and what has become of it so far.
+
+    ``receiver`` None: whoever hears it, at ``rate``, or where that is None at the lowest basic one.
+    """
 
     sender: int
     receiver: int | None
@@ -19,6 +22,7 @@ class Queued:
     offered_s: float
     tag: int
     size_bytes: int  # on the air
+    rate: Rate | None = None
     attempts: int = 0
     delivered: bool = False
 

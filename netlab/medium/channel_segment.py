@@ -8,6 +8,7 @@ matrix of signal strengths (:meth:`SharedChannel.set_rssi`) every pair in range 
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from netlab.medium.channel import Channel
 from netlab.medium.channel_records import ChannelStats
 from netlab.medium.impairments import Impairment
 from netlab.medium.pair import DROPPED, Outcome, Pair
-from netlab.medium.phy import PHYS, Phy
+from netlab.medium.phy import PHYS, Phy, Rate
 from netlab.medium.rate_control import AdaptiveRate, FixedRate, RateControl
 from netlab.medium.segments import DEFAULT_RSSI_DBM, ChannelSpec, Port, Segment
 from netlab.medium.verdicts import Verdict
@@ -34,7 +35,7 @@ _WEAKEST_DBM, _STRONGEST_DBM = -128, 127  # what a verdict's record holds
 class Sent:
     """What became of a frame that port ``sender`` offered at ``offered_s``: outcomes as of ``Medium.transmit``.
 
-    ``tag`` is what the caller gave with it; ``attempts`` were made until then.
+    ``tag`` is what the caller gave with it; ``attempts`` were made until then, the last at ``rate_bps``.
     """
 
     sender: int
@@ -43,6 +44,7 @@ class Sent:
     offered_s: float
     attempts: int
     outcomes: list[Outcome]
+    rate_bps: float
 
 
 class SharedChannel:
@@ -62,12 +64,21 @@ class SharedChannel:
         self._place = {port: place for place, port in enumerate(self._ports)}
         self._matrix: list[list[float]] | None = None
         self._words = [[-math.inf] * len(ports) for _ in ports]
-        self._channel = _channel(segment.channel, ports, seed)
+        self._noise_dbm = segment.channel.noise_dbm
+        self._phy = _phy(segment.channel)
+        self._rates: dict[float, Rate | None] = {}  # of those that were asked for
+        self._channel = _channel(segment.channel, self._phy, ports, seed)
         self.set_pairs(segment.pairs)
 
-    def offer(self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int) -> list[Outcome]:
-        """Queue a frame at ``sender``; returns what is decided at once. Advance to ``now`` first."""
-        fates = self._channel.offer(sender, frame, receiver, now=now, tag=tag)
+    def offer(
+        self, sender: int, frame: bytes, receiver: int | None, *, now: float, tag: int, rate_bps: float | None = None
+    ) -> list[Outcome]:
+        """Queue a frame at ``sender``; returns what is decided at once. Advance to ``now`` first.
+
+        ``rate_bps`` is for group frames; one that the radio does not have counts as None, its lowest basic one.
+        """
+        rate = None if rate_bps is None else self._rate(rate_bps)
+        fates = self._channel.offer(sender, frame, receiver, now=now, tag=tag, rate=rate)
         return [(DROPPED, port, frame, verdict) for port, verdict in fates]
 
     def next_event(self) -> float | None:
@@ -84,7 +95,8 @@ class SharedChannel:
                     self._pair(decided.sender, port).offer(decided.frame, decided.at_s, outcomes)
                 else:
                     outcomes.append((DROPPED, port, decided.frame, verdict))
-            sent.append(Sent(decided.sender, decided.frame, decided.tag, decided.offered_s, decided.attempts, outcomes))
+            who, what, tag, offered_s = decided.sender, decided.frame, decided.tag, decided.offered_s
+            sent.append(Sent(who, what, tag, offered_s, decided.attempts, outcomes, decided.rate.bps))
         return sent
 
     def set_pairs(self, changes: Mapping[tuple[int, int], Impairment | None]) -> None:
@@ -118,9 +130,21 @@ class SharedChannel:
         return {outcome[1]: _whole_dbm(rssi_dbm(sender, outcome[1])) for outcome in outcomes}
 
     @property
+    def noise_dbm(self) -> float:
+        """Noise at every receiver."""
+        return self._noise_dbm
+
+    @property
     def stats(self) -> ChannelStats:
         """The channel's counters."""
         return self._channel.stats
+
+    def _rate(self, bps: float) -> Rate | None:
+        if bps not in self._rates:
+            self._rates[bps] = None
+            with contextlib.suppress(ValueError):
+                self._rates[bps] = self._phy.rate(bps)
+        return self._rates[bps]
 
     def _apply(self) -> None:
         if self._matrix is None:
@@ -134,12 +158,14 @@ class SharedChannel:
         )
 
 
-def _channel(spec: ChannelSpec, ports: Sequence[Port], seed: int) -> Channel:
+def _phy(spec: ChannelSpec) -> Phy:
     phy = PHYS.get(spec.phy)
     if phy is None:
         raise ValueError(f"there is no radio '{spec.phy}'; there are {', '.join(PHYS)}")
-    if spec.cca_dbm is not None:
-        phy = replace(phy, cca_dbm=spec.cca_dbm)
+    return phy if spec.cca_dbm is None else replace(phy, cca_dbm=spec.cca_dbm)
+
+
+def _channel(spec: ChannelSpec, phy: Phy, ports: Sequence[Port], seed: int) -> Channel:
     return Channel(
         ports,
         phy,

@@ -175,9 +175,27 @@ class Medium:
 
     def signals_dbm(self, sent: Sent) -> dict[int, int]:
         """How strongly each receiver of ``sent`` hears its sender, in whole dBm."""
-        channel = self._channel[sent.sender]
-        assert channel is not None
-        return channel.signals_dbm(sent.sender, sent.outcomes)
+        return self._channel_of(sent.sender).signals_dbm(sent.sender, sent.outcomes)
+
+    def inject(self, sender: int, frame: bytes, *, rate_bps: float | None, now: float, tag: int = 0) -> list[Outcome]:
+        """Send from a port in monitor mode, on a shared channel: for whoever hears it, once, at ``rate_bps``.
+
+        As :meth:`transmit` otherwise.
+        """
+        channel = self._channel_of(sender)
+        self._sent += channel.advance(now)
+        outcomes = channel.offer(sender, frame, None, now=now, tag=tag, rate_bps=rate_bps)
+        self._count(outcomes)
+        return outcomes
+
+    def noise_dbm(self, port: int) -> float:
+        """The noise at a port of a shared channel."""
+        return self._channel_of(port).noise_dbm
+
+    def _channel_of(self, port: int) -> SharedChannel:
+        channel = self._channel[port]
+        assert channel is not None, "only radios with airtime can be in monitor mode"
+        return channel
 
     def _share(
         self, channel: SharedChannel, sender: int, radio: _Radio, frame: bytes, now: float, tag: int

@@ -29,6 +29,8 @@ class Port:
 
     ``index`` is dense over the lab and equals the position in ``LabPlan.ports``. ``address`` is IPv4 with prefix length
     (``10.1.0.1/24``) or None where a mesh owns the port. A ``monitor`` port also hears unicast frames for others.
+    A ``radiotap`` port is a radio in monitor mode, one that shares airtime or an 802.11 interface: all that it sends is
+    for everybody, once, at the rate that its header asks for, and it is told how strongly it heard each frame.
     """
 
     index: int
@@ -38,6 +40,7 @@ class Port:
     address: str | None
     mtu: int = 1500
     monitor: bool = False
+    radiotap: bool = False
 
 
 class WifiMode(StrEnum):

@@ -83,7 +83,7 @@ class WifiMedium:
             now: Seconds, of any origin but always the same.
         """
         address = frame[_RECEIVER_ADDRESS]
-        if address[0] & 1:
+        if address[0] & 1 or self._ports[sender].radiotap:  # in monitor mode all hear all, and nobody answers
             return self._group(sender, frame, now)
         network = self._network[sender]
         tries = network.retry_limit if ack else 1

@@ -7,6 +7,14 @@ from collections.abc import Iterator
 from netlab.medium.meshes import MeshKind
 from netlab.scenario.model import Scenario
 from netlab.scenario.problems import Problem
+from netlab.scenario.traffic import ALL
+
+_SETTINGS = {
+    "batman_adv": MeshKind.BATMAN_ADV,
+    "flood": MeshKind.FLOOD,
+    "wnet": MeshKind.WNET,
+    "babel": MeshKind.BABEL,
+}
 
 
 def check_meshes(scenario: Scenario) -> Iterator[Problem]:
@@ -15,11 +23,13 @@ def check_meshes(scenario: Scenario) -> Iterator[Problem]:
     yield from _names_taken(scenario)
     yield from _across(scenario)
     yield from _algorithms(scenario)
+    yield from _metrics(scenario)
+    yield from _all_reached_by_broadcast(scenario)
 
 
 def _settings_without_mesh(scenario: Scenario) -> Iterator[Problem]:
     for name, node in scenario.nodes.items():
-        for key, kind in (("batman_adv", MeshKind.BATMAN_ADV), ("flood", MeshKind.FLOOD)):
+        for key, kind in _SETTINGS.items():
             if getattr(node, key) is not None and scenario.meshes[name] is not kind:
                 words = f"belongs to mesh: {kind}, and '{name}' has {_word(scenario, name)}"
                 yield ("nodes", name, key), words
@@ -50,6 +60,26 @@ def _algorithms(scenario: Scenario) -> Iterator[Problem]:
         if ours is not theirs:
             path = ("nodes", other, "batman_adv", "routing_algorithm")
             yield path, f"'{other}' routes by {theirs} and '{members[0]}' by {ours}; a mesh needs one and the same"
+
+
+def _metrics(scenario: Scenario) -> Iterator[Problem]:
+    """Every node of wnet reckons the whole path: with another metric it may send a frame back."""
+    members = [name for name, kind in scenario.meshes.items() if kind is MeshKind.WNET]
+    for other in members[1:]:
+        ours, theirs = (scenario.wnet_settings(name).get("metric", "quality") for name in (members[0], other))
+        if ours != theirs:
+            path = ("nodes", other, "wnet", "metric")
+            yield path, f"'{other}' goes by {theirs} and '{members[0]}' by {ours}; a mesh needs one and the same"
+
+
+def _all_reached_by_broadcast(scenario: Scenario) -> Iterator[Problem]:
+    """Babel routes IP packets to one node; nobody carries broadcasts and groups from network to network."""
+    for index, entry in enumerate(scenario.traffic):
+        if entry.to == (ALL,) and scenario.meshes.get(entry.from_) is MeshKind.BABEL:
+            yield (
+                ("traffic", index, "to"),
+                "mesh: babel has no broadcast, which to: all needs; name the nodes",
+            )
 
 
 def why_apart(scenario: Scenario, a: str, b: str) -> str:

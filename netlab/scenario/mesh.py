@@ -7,17 +7,16 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from netlab.medium.meshes import BatmanOptions, FloodOptions, MeshKind, RoutingAlgorithm
-from netlab.scenario.base import StrictModel, Switch, not_yet
+from netlab.medium.meshes import BabelOptions, BatmanOptions, FloodOptions, MeshKind, RoutingAlgorithm
+from netlab.scenario.base import StrictModel, Switch, suggestion
 from netlab.scenario.quantities import DURATION, Quantity, describe
 
 MESHES = ("none", *MeshKind)
-_LATER_MESHES = ("wnet", "babel", "babeld")
 _BATMAN = ("batman", "batman_adv", "bat0", "batadv")
 
 #: What a file may say; None (the key is absent) means the top level's, which is `none` by default.
 MeshWord = Annotated[
-    Literal["none", "batman-adv", "flood"],
+    Literal["none", "batman-adv", "flood", "wnet", "babel"],
     BeforeValidator(lambda value: _mesh(value)),
     WithJsonSchema({"enum": list(MESHES)}),
 ]
@@ -26,7 +25,9 @@ MeshWord = Annotated[
 def _mesh(value: object) -> object:
     if value in _BATMAN:
         raise ValueError(f"unknown mesh '{value}'; did you mean 'batman-adv'?")
-    return not_yet(value, MESHES, _LATER_MESHES, "mesh")
+    if value not in MESHES:
+        raise ValueError(f"unknown mesh {describe(value)}; {suggestion(str(value), MESHES, 'known are')}")
+    return value
 
 
 def _algorithm(value: object) -> RoutingAlgorithm:
@@ -69,6 +70,19 @@ class FloodSettings(StrictModel):
     def laid_over(self, base: FloodSettings) -> FloodOptions:
         """These settings over ``base``, over the defaults."""
         return FloodOptions(**{**base.model_dump(exclude_none=True), **self.model_dump(exclude_none=True)})
+
+
+class BabelSettings(StrictModel):
+    """Settings of babeld, at top level or in a node (which wins); None leaves the lab's or the default."""
+
+    hello_interval_s: Annotated[float, Quantity(DURATION, minimum=0.01, maximum=655.0)] | None = Field(
+        default=None, alias="hello_interval"
+    )
+    wireless: Switch | None = None
+
+    def laid_over(self, base: BabelSettings) -> BabelOptions:
+        """These settings over ``base``, over the defaults."""
+        return BabelOptions(**{**base.model_dump(exclude_none=True), **self.model_dump(exclude_none=True)})
 
 
 def components(nodes: Iterable[str], joins: Iterable[tuple[str, str]]) -> dict[str, Hashable]:

@@ -13,13 +13,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
-from netlab.medium.meshes import BatmanOptions, FloodOptions, MeshKind
+from netlab.medium.meshes import BabelOptions, BatmanOptions, FloodOptions, MeshKind
 from netlab.scenario.base import NodeName, NotYet, StrictModel, not_yet
 from netlab.scenario.events import Event
 from netlab.scenario.expect import AnyExpectation
 from netlab.scenario.generate import Generate
 from netlab.scenario.links import Link, Wire, wires
-from netlab.scenario.mesh import BatmanSettings, FloodSettings, MeshWord, components, same_mesh
+from netlab.scenario.mesh import BabelSettings, BatmanSettings, FloodSettings, MeshWord, components, same_mesh
 from netlab.scenario.motion import MotionFile
 from netlab.scenario.nodes import MeshSettings, Node
 from netlab.scenario.quantities import PositiveSeconds
@@ -27,6 +27,7 @@ from netlab.scenario.radio import Radio
 from netlab.scenario.radio_physics import RadioSettings
 from netlab.scenario.terrain import Terrain
 from netlab.scenario.traffic import ALL, Stream, Traffic
+from netlab.scenario.wnet import WnetSettings
 
 ENGINES = ("auto", "air", "netem")
 
@@ -54,6 +55,8 @@ class Scenario(StrictModel):
     mesh: MeshWord = "none"
     batman_adv: BatmanSettings = BatmanSettings()
     flood: FloodSettings = FloodSettings()
+    babel: BabelSettings = BabelSettings()
+    wnet: WnetSettings = WnetSettings()
     udp_mesh: MeshSettings = MeshSettings()
     nodes: dict[NodeName, Node] = Field(min_length=1)
     links: tuple[Link, ...] = ()
@@ -63,7 +66,6 @@ class Scenario(StrictModel):
     generate: Generate | None = None
     terrain: Terrain | None = None
     motion: MotionFile | None = None
-    wnet: NotYet = None
     rose: NotYet = None
 
     @field_validator("nodes", mode="before")
@@ -166,6 +168,14 @@ class Scenario(StrictModel):
     def flood_options(self, node: str) -> FloodOptions:
         """The flood's settings in ``node``: the top-level block, overlaid by the node's own."""
         return (self.nodes[node].flood or FloodSettings()).laid_over(self.flood)
+
+    def babel_options(self, node: str) -> BabelOptions:
+        """babeld's settings in ``node``: the top-level block, overlaid by the node's own."""
+        return (self.nodes[node].babel or BabelSettings()).laid_over(self.babel)
+
+    def wnet_settings(self, node: str) -> dict[str, Any]:
+        """The mesh's table in the wnet daemon's file in ``node``: the top-level block, overlaid by the node's own."""
+        return (self.nodes[node].wnet or WnetSettings()).laid_over(self.wnet)
 
     def process_names(self, node: str) -> tuple[str, ...]:
         """What runs in a node by name: its own processes, and that which is its mesh."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
@@ -10,7 +9,7 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchem
 from pydantic_core import CoreSchema
 
 from netlab.scenario.base import NodeName, NotYet, StrictModel, Switch, Topic, not_yet
-from netlab.scenario.mesh import BatmanSettings, FloodSettings, MeshWord
+from netlab.scenario.mesh import BabelSettings, BatmanSettings, FloodSettings, MeshWord
 from netlab.scenario.motion import NodeMotion
 from netlab.scenario.places import Position, WaypointWords
 from netlab.scenario.quantities import (
@@ -26,9 +25,11 @@ from netlab.scenario.quantities import (
 )
 from netlab.scenario.radio import NodeRadio
 from netlab.scenario.rate_limit import RateLimit
+from netlab.scenario.team_key import TeamKeys
+from netlab.scenario.wnet import WnetSettings
 
 BUILTIN_PROCESSES = ("udp_mesh",)
-_LATER_PROCESSES = ("wnet", "rose")
+_LATER_PROCESSES = ("rose",)
 
 
 def _whole_bytes(value: object) -> int:
@@ -40,17 +41,6 @@ def _whole_bytes(value: object) -> int:
 WholeBytes = Annotated[int, BeforeValidator(_whole_bytes), WithJsonSchema({"type": ["integer", "string"]})]
 
 
-def _quoted_key(value: object) -> object:
-    keys = value if isinstance(value, (list, tuple)) else [value]
-    if not 0 < len(keys) <= 4 or not all(isinstance(key, str) and _TEAM_KEY.fullmatch(key) for key in keys):
-        raise ValueError(
-            "expected 64 hexadecimal digits in quotes, such as `udp-mesh key` prints, or a list of 1 to 4 such keys"
-        )
-    return value
-
-
-_TEAM_KEY = re.compile("[0-9a-fA-F]{64}")
-TeamKey = Annotated[str, Field(pattern=f"^{_TEAM_KEY.pattern}$")]
 StoreAge = Annotated[float, Quantity(DURATION, minimum=1.0, maximum=2_592_000.0)]
 ChannelRate = Annotated[float, Quantity(RATE, minimum=100.0, maximum=1e12)]
 BeaconInterval = Annotated[float, Quantity(DURATION, minimum=0.05, maximum=60.0)]
@@ -114,7 +104,7 @@ class MeshSettings(StrictModel):
     topics: dict[Topic, TopicSettings] | None = None
     coordinate: Switch | None = None
     floor: Annotated[float, Quantity(RATIO, maximum=0.5)] | None = None
-    key: Annotated[TeamKey | tuple[TeamKey, ...], BeforeValidator(_quoted_key)] | None = None
+    key: TeamKeys | None = None
     bridge: Switch | None = None
     neighbours: tuple[str, ...] | None = None
     team: tuple[str, ...] | None = None
@@ -215,8 +205,9 @@ class Node(StrictModel):
     mesh: MeshWord | None = None
     batman_adv: BatmanSettings | None = None
     flood: FloodSettings | None = None
+    babel: BabelSettings | None = None
+    wnet: WnetSettings | None = None
     motion: NodeMotion | None = None
-    wnet: NotYet = None
     rose: NotYet = None
 
     @model_validator(mode="after")

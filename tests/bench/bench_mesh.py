@@ -91,7 +91,8 @@ CASES = (
 def measure(case: Case, algorithm: str, engine: str, seed: int) -> float | None:
     """Seconds from the last cut or restoration until both directions carry again; None: not before the run's end."""
     at_s = BEGIN_S + random.Random(seed).random()  # anywhere between two routing messages
-    words = ["events=[]", "expect=[]", f"duration={case.duration}", f"batman_adv.routing_algorithm={algorithm}"]
+    words = ["mesh=batman-adv", "events=[]", "expect=[]", f"duration={case.duration}"]
+    words.append(f"batman_adv.routing_algorithm={algorithm}")
     with Lab(SCENARIO, engine=engine, seed=seed, overrides=words, packets=False) as lab:
         time.sleep(SETTLE_S)  # of virtual time, and nobody sends: cheap
         lab.begin()

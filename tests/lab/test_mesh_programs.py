@@ -37,6 +37,15 @@ def test_other_programs_find_it_in_their_environment(tmp_path: Path) -> None:
     assert plain.env == {"COLOUR": "red"}
 
 
+def test_over_babel_daemons_are_told_whom_to_ask(tmp_path: Path) -> None:
+    config = daemon_config(line("babel"), "a")
+    assert (config["neighbours"], "interfaces" in config) == (["10.240.0.3"], False)
+    own = daemon_config(line("babel", udp_mesh={"neighbours": []}), "a")
+    assert own["neighbours"] == [], "what the scenario says goes first"
+    _, process = node_processes(line("babel"), "a", tmp_path)
+    assert process.env == {"COLOUR": "red"}
+
+
 def test_a_source_waits_for_destinations_over_hops() -> None:
     scenario = line("batman-adv", traffic=[{"from": "a", "to": "b", "topic": "t", "size": "1kB", "rate": "1Hz"}])
     (source,) = traffic_sources(scenario, compile_plan(scenario))

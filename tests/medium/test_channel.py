@@ -44,6 +44,24 @@ def test_group_frames_go_at_the_lowest_basic_rate_and_others_at_the_fixed_one() 
     assert [done.rate.bps for done in drain(used)] == [6e6, 54e6]
 
 
+def test_a_group_frame_goes_at_the_rate_that_its_sender_asks_for_and_pays_for_it() -> None:
+    weak_dbm = NOISE_DBM + 8  # 6 Mbit/s arrive, 54 do not
+    used = channel(strengths(3, {(0, 1): STRONG_DBM, (0, 2): weak_dbm}))
+    for rate in (None, G.rate(54e6)):
+        for _ in range(50):
+            used.offer(0, bytes(1000), None, now=0.0, rate=rate)
+    decided = drain(used)
+    slow, fast = decided[:50], decided[50:]
+    assert {done.rate.bps for done in slow} == {6e6}
+    assert {done.rate.bps for done in fast} == {54e6}
+    got = [sum((place, Verdict.DELIVERED) in done.fates for done in part) for part in (slow, fast) for place in (1, 2)]
+    assert got[0] == got[2] == 50
+    assert got[1] > 45
+    assert got[3] == 0
+    span_s = [part[-1].at_s - part[0].at_s for part in (slow, fast)]
+    assert span_s[1] < span_s[0] / 4
+
+
 def test_rate_control_finds_the_rate_that_the_signal_carries() -> None:
     # 54 Mbit/s needs some 22 dB; at 15 dB QPSK or 16-QAM is what gets through.
     weak_dbm = NOISE_DBM + 15

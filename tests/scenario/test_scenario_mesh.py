@@ -6,8 +6,10 @@ import pytest
 
 from netlab.engines.plan import compile_plan, hosts
 from netlab.errors import ScenarioError
-from netlab.medium.meshes import BatmanOptions, FloodOptions, MeshKind, RoutingAlgorithm
+from netlab.medium.meshes import BabelOptions, BatmanOptions, FloodOptions, MeshKind, RoutingAlgorithm
 from netlab.scenario import Scenario, parse_scenario
+from netlab.scenario.wnet import WnetSettings
+from wnet.config import CHECKS, MEMBER_MTU_BYTES, parse
 
 NODE = {"processes": ["udp_mesh"]}
 MESHED = {**NODE, "mesh": "batman-adv"}
@@ -106,12 +108,46 @@ def test_flood_settings_lie_over_one_another_and_its_process_can_be_killed() -> 
     )
 
 
+def test_wnet_settings_are_those_of_its_daemon() -> None:
+    nodes = {"a": {"wnet": {"hello_fast": "200ms", "channel": "54mbit"}}, "b": {}, "c": {}}
+    meshed = scenario(mesh="wnet", wnet={"metric": "etx", "hello_fast": "50ms"}, nodes=nodes)
+    assert meshed.wnet_settings("a") == {"metric": "etx", "hello_fast_s": 0.2, "channel_bps": 54e6}
+    assert meshed.wnet_settings("b") == {"metric": "etx", "hello_fast_s": 0.05}
+    assert WnetSettings.model_fields.keys() <= CHECKS.keys(), "the daemon knows every word"
+    parse(meshed.wnet_settings("a"), source="a")
+    assert compile_plan(meshed).meshes[0].wnet == meshed.wnet_settings("a")
+    assert compile_plan(meshed).ports[0].mtu == MEMBER_MTU_BYTES
+
+
+def test_babel_has_addresses_and_no_interface() -> None:
+    nodes: dict[str, dict[str, str]] = {"a": {}, "b": {}, "c": {}}
+    meshed = scenario(mesh="babel", babel={"hello_interval": "1s", "wireless": True}, nodes=nodes)
+    assert [mesh.address for mesh in compile_plan(meshed).meshes] == [f"10.240.0.{place}/32" for place in (1, 2, 3)]
+    assert compile_plan(meshed).meshes[1].babel == BabelOptions(1.0, True)
+    assert meshed.process_names("a") == ("babeld",)
+
+
 @pytest.mark.parametrize(
     ("keys", "problem"),
     [
         ({"mesh": "batman"}, "mesh: unknown mesh 'batman'; did you mean 'batman-adv'?"),
-        ({"mesh": "wnet"}, "mesh: mesh 'wnet' is not available yet; use none, batman-adv, flood"),
-        ({"mesh": "olsr"}, "mesh: unknown mesh 'olsr'; known are none, batman-adv, flood"),
+        ({"mesh": "babeld"}, "mesh: unknown mesh 'babeld'; did you mean 'babel'?"),
+        ({"mesh": "olsr"}, "mesh: unknown mesh 'olsr'; known are none, batman-adv, flood, wnet, babel"),
+        ({"mesh": "wnet", "wnet": {"hello_fast": "1ms"}}, "wnet.hello_fast: "),
+        ({"mesh": "wnet", "wnet": {"interval": "1s"}}, "wnet.interval: "),
+        ({"mesh": "wnet", "wnet": {"key": "secret"}}, "wnet.key: expected 64 hexadecimal digits in quotes"),
+        (
+            {"mesh": "wnet", "nodes": {"a": {}, "b": {"wnet": {"metric": "etx"}}, "c": {}}},
+            "nodes.b.wnet.metric: 'b' goes by etx and 'a' by quality; a mesh needs one and the same",
+        ),
+        (
+            {
+                "mesh": "babel",
+                "nodes": {"a": NODE, "b": NODE, "c": NODE},
+                "traffic": [{"from": "a", "to": "all", "topic": "t", "size": "1kB", "rate": "1Hz"}],
+            },
+            "traffic[0].to: mesh: babel has no broadcast, which to: all needs; name the nodes",
+        ),
         ({"mesh": "flood", "flood": {"jitter": "2s"}}, "flood.jitter: "),
         ({"mesh": "flood", "flood": {"hop_limit": 0}}, "flood.hop_limit: '0' is impossible; it must be at least 1"),
         (

@@ -205,8 +205,9 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
         parse_scenario(
             {
                 "duration": "1s",
-                "wnet": {},
-                "nodes": {"a": {"rose": {}, "mesh": "wnet"}, "b": {}},
+                "rose": {},
+                "engine": "sim",
+                "nodes": {"a": {"rose": {}}, "b": {}},
             }
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]

@@ -113,7 +113,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
             "s.yaml:6: nodes.base-eth0: 'base-eth0' is also how an interface of 'base' is called",
         ),
         ("  relay:", "  relay:\n  all:", "s.yaml:6: nodes.all: 'all' has a meaning of its own; choose another name"),
-        ("  relay:", "  relay: {mesh: wnet}", "s.yaml:5: nodes.relay.mesh: mesh 'wnet' is not available yet"),
+        ("  relay:", "  relay: {mesh: olsr}", "s.yaml:5: nodes.relay.mesh: unknown mesh 'olsr'"),
         (
             "  relay:",
             "  relay: {waypoints: [[0, 0], [5, 0]]}",
@@ -172,7 +172,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         ),
         ("  relay:", "  relay: {radio: {}}", "nodes.relay.radio: there is no radio; give radio: a propagation model"),
         ("  relay:", "  relay: {radio: []}", "nodes.relay.radio: a node has 1 to 8 radios; write none"),
-        ("  relay:", "  relay: {processes: [wnet]}", "nodes.relay.processes[0]: process 'wnet' is not available yet"),
+        ("  relay:", "  relay: {processes: [rose]}", "nodes.relay.processes[0]: process 'rose' is not available yet"),
         ("argv: [sleep, 100]", "argv: sleep", "s.yaml:4: nodes.robot1.processes[1]: argv is a list"),
         ("{argv: [sleep, 100]}", "udp_mesh", "s.yaml:4: nodes.robot1: two processes are called 'udp_mesh'"),
         ("to: base", "to: relay", "s.yaml:10: traffic[0].to: node 'relay' runs no udp_mesh to carry traffic; add"),

@@ -16,6 +16,7 @@ from netlab.pytest_plugin import MakeLab
 
 TOPOLOGIES = Path(__file__).parents[2] / "topologies"
 BATMAN_TYPE = bytes.fromhex("4305")
+BATMAN_DIAMOND = ["mesh=batman-adv", "expect[0].max=8s", "expect[1].max=2s", "expect[2].max=18s"]
 LINE = {
     "duration": "4s",
     "mesh": "batman-adv",
@@ -85,7 +86,7 @@ def test_settings_reach_the_kernel(make_lab: MakeLab) -> None:
 
 @pytest.mark.usefixtures("batman")
 def test_the_diamond_meets_its_expectations_and_a_cut_hits(make_lab: MakeLab) -> None:
-    result = make_lab(TOPOLOGIES / "relay_diamond.yaml").run()
+    result = make_lab(TOPOLOGIES / "relay_diamond.yaml", overrides=BATMAN_DIAMOND).run()
     assert all(row.passed for row in result.expectations), result.report()
     delays = [row["delay_s"] for row in result.summary["reroutes"]]
     assert len(delays) == 2
@@ -95,7 +96,8 @@ def test_the_diamond_meets_its_expectations_and_a_cut_hits(make_lab: MakeLab) ->
 @pytest.mark.usefixtures("batman")
 def test_a_slow_mesh_fails_the_diamond(make_lab: MakeLab) -> None:
     words = ["batman_adv.originator_interval=5s"]  # it gives a way up when five routing messages are missing
-    result = make_lab(TOPOLOGIES / "relay_diamond.yaml", overrides=words).run()
+    overrides = [*BATMAN_DIAMOND, *words]
+    result = make_lab(TOPOLOGIES / "relay_diamond.yaml", overrides=overrides).run()
     failed = [row.name for row in result.expectations if not row.passed]
     assert "reroute" in {name.split()[0] for name in failed}, result.report()
 

@@ -63,7 +63,7 @@ def encode_event(event: Event, *, offset_ns: int) -> bytes:
     return _ENCODER.encode(values).encode() + b"\n"
 
 
-def event_name(kind: type[Event]) -> str:
+def event_name(kind: type[object]) -> str:
     """Return the name of an event in JSON: ``MessageQueued`` -> ``message_queued``."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
 
