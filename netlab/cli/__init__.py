@@ -30,6 +30,7 @@ COMMANDS = {
     "inspect": ("inspect", "Look into a capture."),
     "report": ("report", "Draw a page of plots from a capture."),
     "export": ("export", "Export a capture's packets to pcapng."),
+    "wireshark": ("wireshark", "Install the dissectors for Wireshark and tshark."),
     "vm": ("vm", "Run a command in a throw-away kernel, in real or virtual time."),
     "doctor": ("doctor", "Say what this machine can do and what is missing."),
 }
