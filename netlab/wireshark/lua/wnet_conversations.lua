@@ -1,4 +1,4 @@
--- What wnet's frames have to do with each other: followed over hops, acknowledged, overtaken. Nothing of Wireshark here.
+-- What wnet's frames have to do with each other: followed over hops, acknowledged, overtaken. Nothing of Wireshark.
 --
 -- Told each sound body once, in the order of the capture, it keeps what is to be shown with it. A frame of data is
 -- known by the key of its tail, which no hop changes.
