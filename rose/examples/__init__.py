@@ -1,0 +1,1 @@
+"""Example services: a simulated laser, and three that use what it publishes (``topologies/rose_laser.yaml``)."""
