@@ -116,12 +116,12 @@ def load_team(path: Path) -> TeamConfig:
         complaints.add(block.line, "hosts", "is missing; add a block of hosts by address")
     if not keys:
         complaints.add(block.line, "keys", "is missing; hosts take their configuration only from who has a key")
-    robot, service = _id(block, "id", default="0.1023")
+    numbers = _id(block, "id", default="0.1023")
     fresh_s = block.number("fresh_s", 60.0, least=0.1, most=1e9)
     block.finish()
-    if complaints.problems or own is None:
+    if complaints.problems or own is None or numbers is None:
         raise ConfigError(complaints.problems)
-    return TeamConfig(ServiceId(own, robot, service), hosts, keys, fresh_s)
+    return TeamConfig(ServiceId(own, *numbers), hosts, keys, fresh_s)
 
 
 # -- inside -------------------------------------------------------------------------------------------------------
@@ -157,22 +157,22 @@ def _host(block: Block, host: Host | None, keys: KeyRing) -> HostConfig | None:
     if accepts and not keys:
         block.complain(block.line, "accept_configuration", "needs keys; else anybody could start programs here")
     fresh_s = block.number("fresh_s", 60.0, least=0.1, most=1e9)
-    services = tuple(
-        service
-        for place, node in enumerate(block.items("services"))
-        if (service := _service(Block(node, block.complaints, f"services[{place}]"), host)) is not None
-    )
-    for what in ("name", "id"):
-        first: dict[object, int] = {}
-        for place, service in enumerate(services):
-            value = service.name if what == "name" else (service.robot, service.service)
+    services = []
+    first: dict[object, int] = {}
+    for place, node in enumerate(block.items("services")):
+        service = _service(Block(node, block.complaints, f"services[{place}]"), host)
+        if service is None:
+            continue
+        services.append(service)
+        for key, value in (("name", service.name), ("id", (service.robot, service.service))):
             if first.setdefault(value, place) != place:
-                block.complain(block.line, f"services[{place}].{what}", f"is that of services[{first[value]}] too")
-    return None if host is None else HostConfig(host, services, keys, accepts, fresh_s)
+                block.complain(node.line, f"services[{place}].{key}", f"is that of services[{first[value]}] too")
+    return None if host is None else HostConfig(host, tuple(services), keys, accepts, fresh_s)
 
 
 def _service(block: Block, host: Host | None) -> ServiceConfig | None:
-    robot, service = _id(block, "id")
+    numbers = _id(block, "id")
+    robot, service = numbers or (0, 1)
     name = block.text("name", f"{robot}.{service}")
     run = block.text("run", "")
     argv = block.items("argv")
@@ -185,7 +185,7 @@ def _service(block: Block, host: Host | None) -> ServiceConfig | None:
     if not isinstance(settings, dict):
         block.complain(block.line, "settings", f"expected a block of keys, found {describe(settings)}")
         settings = {}
-    if (robot, service) == MANAGER:
+    if numbers == MANAGER:
         block.complain(block.line, "id", "0.0 is the Service Manager's own; take another")
     elif host is not None:
         try:
@@ -206,10 +206,10 @@ def _service(block: Block, host: Host | None) -> ServiceConfig | None:
         restart=block.text("restart", "always", choices=("always", "never")) == "always",
     )
     block.finish()
-    return config
+    return None if numbers is None else config
 
 
-def _id(block: Block, key: str, default: str | None = None) -> tuple[int, int]:
+def _id(block: Block, key: str, default: str | None = None) -> tuple[int, int] | None:
     node = block.node(key)
     text = (default or "") if node is None else node.written
     found = _NUMBERS.fullmatch(text)
@@ -217,7 +217,7 @@ def _id(block: Block, key: str, default: str | None = None) -> tuple[int, int]:
         line = block.line if node is None else node.line
         what = "is missing; add it" if node is None else f"'{text}' is not ROBOT.SERVICE, such as 0.1"
         block.complain(line, key, what)
-        return 0, 1
+        return None
     return int(found[1]), int(found[2])
 
 

@@ -104,7 +104,7 @@ def _value(element: _Element, complaints: Complaints) -> Node:
     if element.attributes or element.children:
         block = _block(element, complaints)
         if element.text.strip() and isinstance(block.value, dict):
-            block.value["text"] = Node(element.text.strip(), element.line)
+            block.value["text"] = Node(element.text.strip(), element.line, element.text.strip())
         return block
     text = element.text.strip()
     return Node(text if element.tag in ("key", "arg") else scalar(text), element.line, text)

@@ -42,8 +42,8 @@ def epoch_key(key: bytes, sender: ServiceId, epoch_ns: int) -> bytes:
 class KeyRing:
     """The keys that a service was given: those of named services, and ``team`` for all others; () is no key."""
 
-    by_service: Mapping[ServiceId, Sequence[bytes]] = field(default_factory=dict)
-    team: Sequence[bytes] = ()
+    by_service: Mapping[ServiceId, Sequence[bytes]] = field(default_factory=dict, repr=False)
+    team: Sequence[bytes] = field(default=(), repr=False)
 
     def of(self, sid: ServiceId) -> Sequence[bytes]:
         """Return a service's keys, the one that seals first."""

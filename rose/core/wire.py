@@ -139,4 +139,4 @@ def decode(datagram: bytes | memoryview) -> Header | Fault:
     )
 
 
-_KNOWN_FLAGS = Flag.SEALED | Flag.SLICED | Flag.REFUSED
+_KNOWN_FLAGS = int(Flag.SEALED | Flag.SLICED | Flag.REFUSED)
