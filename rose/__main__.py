@@ -1,0 +1,5 @@
+"""``python -m rose``."""
+
+from rose.cli import main
+
+main()
