@@ -69,7 +69,7 @@ def _identity(host: str | None, config: Path | None, types: tuple[str, ...]) -> 
 
 @rose.command()
 @click.argument("file", type=_FILE)
-@click.option("--ready-fd", type=int, help="Say so there when every service runs.")
+@click.option("--ready-fd", type=int, envvar="READY_FD", help="Say so there when every service runs.")
 def run(file: Path, ready_fd: int | None) -> None:
     """Run the services of FILE on this host (its Service Manager) until Ctrl-C or SIGTERM."""
     _run(commands.run_host(load_host(file), kept=file.with_suffix(".kept.json"), ready_fd=ready_fd))

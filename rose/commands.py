@@ -140,7 +140,7 @@ async def call(who: HostConfig, to: ServiceId, kind: str, values: str, *, timeou
         ) from None
     service = await _tool(who)
     try:
-        answer = await service.call(to, command, AnyMessage, timeout_s=timeout_s)
+        answer = await service.call(to, command, AnyMessage, timeout_s=timeout_s, local=to.host == who.host)
     except CallError as error:
         click.echo(str(error), err=True)
         return 1
@@ -226,11 +226,13 @@ def _sample_json(sample: Sample) -> str:
     )
 
 
-def _named(message: Message) -> object:
-    """A message by its fields' names where its type is known, else its plain values."""
-    if isinstance(message, AnyMessage):
-        return message.value
-    return {name: msgspec.to_builtins(getattr(message, name)) for name in message.__struct_fields__}
+def _named(value: object) -> object:
+    """A message by its fields' names, also inside others, where its type is known; else its plain values."""
+    if isinstance(value, AnyMessage):
+        return value.value
+    if isinstance(value, Message):
+        return {name: _named(getattr(value, name)) for name in value.__struct_fields__}
+    return [_named(item) for item in value] if isinstance(value, list) else value
 
 
 def _from_json(text: str, cls: type[Message]) -> Message:

@@ -1,8 +1,8 @@
 """rose over udp_mesh: the same datagrams, delivered by this node's udp_mesh daemon.
 
 For services that want what udp_mesh has and multicast does not: every message arrives, in the order of urgency, and
-waits while its receiver is away. It costs one transmission per receiver where the daemon cannot broadcast, whether a
-receiver listens or not. The datagrams travel as messages of the topics ``rose/SID`` (publications) and ``rose/to/SID``
+waits while its receiver is away. It costs one transmission for every node that udp_mesh has heard, whether somebody
+listens there or not. The datagrams travel as messages of the topics ``rose/SID`` (publications) and ``rose/to/SID``
 (commands). Within a host they go as with UDP, for a daemon has no echo: multicast with no hop left never leaves.
 """
 
@@ -64,7 +64,8 @@ class MeshTransport(UdpTransport):
     def publish(self, datagrams: Sequence[bytes]) -> None:
         """See :meth:`Transport.publish`."""
         super().publish(datagrams)
-        self._hand_over(f"rose/{self._sid}", datagrams, _ALL)
+        for name in sorted(set(self._names.values())):  # one by one: what is for all at once is not acknowledged
+            self._hand_over(f"rose/{self._sid}", datagrams, name)
 
     def send(self, to: ServiceId, datagrams: Sequence[bytes], *, local: bool = False) -> None:
         """See :meth:`Transport.send`."""
@@ -92,7 +93,7 @@ class MeshTransport(UdpTransport):
             self._on_datagram(bytes(message.payload), False)
 
     async def _learn(self) -> None:
-        """Know which node has which address, so that a command need not go to all."""
+        """Know the nodes and their addresses: publications go to each, a command to one."""
         while True:
             for peer in await self._client.peers():
                 addresses = {peer.address, *(path.address for path in peer.paths)}
