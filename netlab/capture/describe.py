@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from netlab.capture import batman, flood, wnet
+from netlab.capture import batman, flood, rose, wnet
 from netlab.capture.decoders import (
     LINKTYPE_ETHERNET,
     LINKTYPE_RADIOTAP,
@@ -34,7 +34,9 @@ def describe_frame(frame: bytes, linktype: int) -> str:
     ends = f"{datagram.source}:{datagram.source_port} > {datagram.destination}:{datagram.destination_port}"
     mesh = mesh_of(datagram)
     if mesh is None:
-        return f"UDP {ends} {len(datagram.payload)} B"
+        service = rose.header_of(datagram.payload)
+        told = f" {rose.describe(service)}" if service is not None else ""
+        return f"UDP {ends}{told} {len(datagram.payload)} B"
     return f"{datagram.source} > {datagram.destination} mesh #{mesh.packet_number} {describe_mesh(mesh)}"
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
+import yaml
 
 from netlab.engines import mesh_interfaces
 from netlab.engines.base import LabPlan
-from netlab.engines.plan import compile_plan
+from netlab.engines.plan import compile_plan, hosts
 from netlab.lab.process import ProcessSpec, Restart
 from netlab.lab.resolution import SPREAD_S
 from netlab.lab.traffic import StreamSpec, encode_streams
@@ -27,13 +28,16 @@ def node_processes(scenario: Scenario, node: str, folder: Path, plan: LabPlan | 
     """The scenario's own processes of a node; writes the configuration that they need below ``folder``."""
     specs = []
     for process in scenario.nodes[node].processes:
+        argv: tuple[str, ...]
         if process.builtin == "udp_mesh":
             config = folder / f"{node}.udp_mesh.toml"
             store = {"store": str(folder / f"{node}.udp_mesh.db")}
             config.touch(mode=0o600)  # it may hold the team's key
             config.write_text(tomli_w.dumps(daemon_config(scenario, node, plan) | store))
-            argv: tuple[str, ...] = ("udp-mesh-daemon", "--config", str(config))
+            argv = ("udp-mesh-daemon", "--config", str(config))
             argv += ("--ready-fd", "{ready_fd}", "--events-fd", "{events_fd}", "--seed", f"{scenario.seed}/{node}")
+        elif process.builtin == "rose":
+            argv = ("rose", "run", str(_rose_file(scenario, node, folder, plan)), "--ready-fd", "{ready_fd}")
         else:
             assert process.argv is not None  # the model: builtin or argv
             argv = process.argv
@@ -48,6 +52,17 @@ def node_processes(scenario: Scenario, node: str, folder: Path, plan: LabPlan | 
             )
         )
     return specs
+
+
+def _rose_file(scenario: Scenario, node: str, folder: Path, plan: LabPlan | None) -> Path:
+    """Write the file of a node's Service Manager, with the addresses that its services have in this lab."""
+    addresses: dict[str, str] = {}
+    for address, name in hosts(plan or compile_plan(scenario)):
+        addresses.setdefault(name, address)
+    file = folder / f"{node}.rose.yaml"
+    file.touch(mode=0o600)  # it may hold keys
+    file.write_text(yaml.safe_dump(scenario.rose_file(node, addresses), sort_keys=False))
+    return file
 
 
 def mesh_processes(plan: LabPlan, folder: Path) -> list[ProcessSpec]:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     ModelWrapValidatorHandler,
     ValidationError,
-    WithJsonSchema,
     model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -166,19 +164,6 @@ def _switch(value: object) -> bool:
     if isinstance(value, str) and value.lower() in _SWITCHES:
         return _SWITCHES[value.lower()]
     raise ValueError(f"expected a switch, found {describe(value)}; write true or false")
-
-
-def _not_yet(value: object) -> None:
-    raise ValueError("is not available yet; remove it")
-
-
-NodeName = Annotated[
-    str, BeforeValidator(node_name), WithJsonSchema({"type": "string", "pattern": f"^{_HOSTNAME.pattern}$"})
-]
-Topic = Annotated[str, BeforeValidator(_topic), WithJsonSchema({"type": "string", "pattern": f"^{_TOPIC.pattern}$"})]
-Switch = Annotated[bool, BeforeValidator(_switch), WithJsonSchema({"type": "boolean"})]
-#: A key that belongs to the format but not yet to this version: any value is refused.
-NotYet = Annotated[None, BeforeValidator(_not_yet), WithJsonSchema({"description": "not available yet", "not": {}})]
 
 
 def not_yet(value: object, available: Sequence[str], later: Sequence[str], what: str) -> object:

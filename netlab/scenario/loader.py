@@ -14,7 +14,8 @@ from netlab.errors import ScenarioError
 from netlab.scenario.check_activity import check_activity, is_after_the_end
 from netlab.scenario.check_motion import check_motion
 from netlab.scenario.check_radio import check_radio
-from netlab.scenario.check_topology import check_topology
+from netlab.scenario.check_rose import check_rose
+from netlab.scenario.check_topology import Names, check_topology
 from netlab.scenario.document import Document, line_of
 from netlab.scenario.generate import expand
 from netlab.scenario.model import Scenario
@@ -104,7 +105,7 @@ def _build(
 
 
 def _cross_check(scenario: Scenario, doubt: Doubt) -> list[Problem]:
-    found = [*check_topology(scenario, doubt), *check_radio(scenario)]
+    found = [*check_topology(scenario, doubt), *check_radio(scenario), *check_rose(scenario, Names(scenario, doubt))]
     found += [*check_motion(scenario, doubt), *check_activity(scenario, doubt)]
     return [(doubt.written(path), message) for path, message in found]
 

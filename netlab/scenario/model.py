@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from netlab.medium.meshes import BabelOptions, BatmanOptions, FloodOptions, MeshKind
-from netlab.scenario.base import NodeName, NotYet, StrictModel, not_yet
+from netlab.scenario.base import NodeName, StrictModel, not_yet
 from netlab.scenario.events import Event
 from netlab.scenario.expect import AnyExpectation
 from netlab.scenario.generate import Generate
@@ -25,6 +25,7 @@ from netlab.scenario.nodes import MeshSettings, Node
 from netlab.scenario.quantities import PositiveSeconds
 from netlab.scenario.radio import Radio
 from netlab.scenario.radio_physics import RadioSettings
+from netlab.scenario.rose import RoseSettings
 from netlab.scenario.terrain import Terrain
 from netlab.scenario.traffic import ALL, Stream, Traffic
 from netlab.scenario.wnet import WnetSettings
@@ -66,7 +67,7 @@ class Scenario(StrictModel):
     generate: Generate | None = None
     terrain: Terrain | None = None
     motion: MotionFile | None = None
-    rose: NotYet = None
+    rose: RoseSettings = RoseSettings()
 
     @field_validator("nodes", mode="before")
     @classmethod
@@ -176,6 +177,10 @@ class Scenario(StrictModel):
     def wnet_settings(self, node: str) -> dict[str, Any]:
         """The mesh's table in the wnet daemon's file in ``node``: the top-level block, overlaid by the node's own."""
         return (self.nodes[node].wnet or WnetSettings()).laid_over(self.wnet)
+
+    def rose_file(self, node: str, addresses: dict[str, str]) -> dict[str, Any]:
+        """The file of the Service Manager in ``node``; ``addresses`` by node."""
+        return (self.nodes[node].rose or RoseSettings()).host_file(self.rose, addresses[node], addresses)
 
     def process_names(self, node: str) -> tuple[str, ...]:
         """What runs in a node by name: its own processes, and that which is its mesh."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema
 
-from netlab.scenario.base import NodeName, NotYet, StrictModel, Switch, Topic, not_yet
+from netlab.scenario.base import NodeName, StrictModel, Switch, Topic, not_yet
 from netlab.scenario.mesh import BabelSettings, BatmanSettings, FloodSettings, MeshWord
 from netlab.scenario.motion import NodeMotion
 from netlab.scenario.places import Position, WaypointWords
@@ -25,11 +25,11 @@ from netlab.scenario.quantities import (
 )
 from netlab.scenario.radio import NodeRadio
 from netlab.scenario.rate_limit import RateLimit
+from netlab.scenario.rose import RoseSettings
 from netlab.scenario.team_key import TeamKeys
 from netlab.scenario.wnet import WnetSettings
 
-BUILTIN_PROCESSES = ("udp_mesh",)
-_LATER_PROCESSES = ("rose",)
+BUILTIN_PROCESSES = ("udp_mesh", "rose")
 
 
 def _whole_bytes(value: object) -> int:
@@ -125,8 +125,8 @@ class Process(StrictModel):
 
     builtin: (
         Annotated[
-            Literal["udp_mesh"],
-            BeforeValidator(lambda value: not_yet(value, BUILTIN_PROCESSES, _LATER_PROCESSES, "process")),
+            Literal["udp_mesh", "rose"],
+            BeforeValidator(lambda value: not_yet(value, BUILTIN_PROCESSES, (), "process")),
         ]
         | None
     ) = None
@@ -161,7 +161,7 @@ class Process(StrictModel):
     @model_validator(mode="after")
     def _one_program(self) -> Self:
         if (self.builtin is None) == (self.argv is None):
-            raise ValueError("give the name of a built-in process (udp_mesh) or argv: [program, argument, ...]")
+            raise ValueError("give the name of a built-in process (udp_mesh, rose) or argv: [program, argument, ...]")
         return self
 
     @classmethod
@@ -208,7 +208,7 @@ class Node(StrictModel):
     babel: BabelSettings | None = None
     wnet: WnetSettings | None = None
     motion: NodeMotion | None = None
-    rose: NotYet = None
+    rose: RoseSettings | None = None
 
     @model_validator(mode="after")
     def _distinct_processes(self) -> Self:

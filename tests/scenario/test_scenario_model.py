@@ -205,11 +205,10 @@ def test_everything_of_the_format_that_is_for_later_is_refused_as_such() -> None
         parse_scenario(
             {
                 "duration": "1s",
-                "rose": {},
                 "engine": "sim",
-                "nodes": {"a": {"rose": {}}, "b": {}},
+                "nodes": {"a": {}, "b": {}},
             }
         )
     late = [problem for problem in caught.value.problems if "not available yet" in problem]
     assert late == caught.value.problems
-    assert len(late) == 3
+    assert len(late) == 1

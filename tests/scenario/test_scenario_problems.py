@@ -172,7 +172,11 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
         ),
         ("  relay:", "  relay: {radio: {}}", "nodes.relay.radio: there is no radio; give radio: a propagation model"),
         ("  relay:", "  relay: {radio: []}", "nodes.relay.radio: a node has 1 to 8 radios; write none"),
-        ("  relay:", "  relay: {processes: [rose]}", "nodes.relay.processes[0]: process 'rose' is not available yet"),
+        (
+            "  relay:",
+            "  relay: {processes: [rosie]}",
+            "nodes.relay.processes[0]: unknown process 'rosie'; did you mean 'rose'",
+        ),
         ("argv: [sleep, 100]", "argv: sleep", "s.yaml:4: nodes.robot1.processes[1]: argv is a list"),
         ("{argv: [sleep, 100]}", "udp_mesh", "s.yaml:4: nodes.robot1: two processes are called 'udp_mesh'"),
         ("to: base", "to: relay", "s.yaml:10: traffic[0].to: node 'relay' runs no udp_mesh to carry traffic; add"),
