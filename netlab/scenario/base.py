@@ -166,6 +166,13 @@ def _switch(value: object) -> bool:
     raise ValueError(f"expected a switch, found {describe(value)}; write true or false")
 
 
+NodeName = Annotated[
+    str, BeforeValidator(node_name), WithJsonSchema({"type": "string", "pattern": f"^{_HOSTNAME.pattern}$"})
+]
+Topic = Annotated[str, BeforeValidator(_topic), WithJsonSchema({"type": "string", "pattern": f"^{_TOPIC.pattern}$"})]
+Switch = Annotated[bool, BeforeValidator(_switch), WithJsonSchema({"type": "boolean"})]
+
+
 def not_yet(value: object, available: Sequence[str], later: Sequence[str], what: str) -> object:
     """Pass a known word on; refuse a word of a later version with that reason.
 
