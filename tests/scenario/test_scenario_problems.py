@@ -164,7 +164,7 @@ def test_many_mistakes_are_all_reported_at_once_in_the_order_of_lines(monkeypatc
             "  relay: {waypoints: [[0, 0, {puase: 1s}]]}",
             "waypoints[0]: unknown key 'puase'; did you mean",
         ),
-        ("  relay:", "  relay: {rose: {}}", "s.yaml:5: nodes.relay.rose: is not available yet; remove it"),
+        ("  relay:", "  relay: {rose: {}}", "s.yaml:5: nodes.relay.rose: 'relay' does not run it; add"),
         (
             "  relay:",
             "  relay: {position: [1]}",

@@ -101,7 +101,7 @@ def test_udp_mesh_delivers_what_multicast_would_lose(make_lab: MakeLab) -> None:
     lab = make_lab(lossy)
     while b'"online": true' not in lab.exec("b", "udp-mesh", "peers", "--json").stdout.encode():
         pass
-    laser = LASER + ", transport: udp_mesh"
+    laser = LASER + ", transport: udp_mesh, offline: store"
     display = 'name: display, id: 0.2, run: "rose.examples.display:Display", transport: udp_mesh, '
     display += "settings: {laser: 10.1.0.1/0.1, every_s: 0.5}"
     with services(lab, "b", "10.1.0.2", display), services(lab, "a", "10.1.0.1", laser):

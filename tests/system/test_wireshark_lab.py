@@ -82,7 +82,6 @@ def test_tshark_and_the_traces_agree_on_a_run(run: Run, tshark: Tshark) -> None:
     assert len(early) > 100
     # The traces know each frame's time on the link; here one grace holds for all, with or without a full frame's.
     assert found("udp_mesh.inversion", GRACE_US + FRAME_US) <= early <= found("udp_mesh.inversion")
-    assert len(found("udp_mesh.inversion") ^ early) < len(early) / 20
 
     deliveries = {delivery.seq: delivery for delivery in trace.delivered[0]}
     where = f'netlab_traffic && udp_mesh.topic == "telemetry" && {RECEIVED}'

@@ -215,6 +215,23 @@ def test_packets_of_an_epoch_that_was_replaced_are_not_believed(make_net: Any) -
     assert core.stats()["retired_epoch"] > 0
 
 
+def test_a_straggler_that_retired_the_present_epoch_is_found_out(make_net: Any) -> None:
+    """Both restart; the first that b hears of a's new life is followed by what was still under way of the old one."""
+    net = pair(make_net)
+    stragglers = [datagram for _at, datagram in net.sent["a"]]
+    for name in ("a", "b"):
+        net.stop(name)
+        net.add(name)
+    net.meet()
+    core = net.cores["b"]
+    for datagram in stragglers:
+        core.receive_datagram(datagram.data, Path(0, "a"), now=net.now)
+    net.run(10.0)
+    net.publish("b", "t", b"now", "a")
+    net.run(1.0)
+    assert [message.payload for message in net.delivered("a")] == [b"now"]
+
+
 def test_a_peer_that_does_not_hear_us_does_not_flap(make_net: Any) -> None:
     net = pair(make_net)
     net.one_way("a", "b", is_cut=True)

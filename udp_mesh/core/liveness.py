@@ -2,6 +2,8 @@
 
 Theory of operation.
 * A beacon (HELLO, broadcast) ties an epoch to a name. A new epoch of a known name is a restart; the old is retired.
+  Epochs have no order, so a straggler of a former life may retire the present one; that one, still speaking when the
+  other has long been silent, is taken back.
   When this node says who it is: :mod:`udp_mesh.core.beacons`.
 * In a small team a newcomer is greeted at once by unicast. In a larger one those greetings would be many: it gets our
   broadcast answer, and the greeting goes ahead of the first packet that there is for it.
@@ -82,9 +84,13 @@ class Liveness:
                 peer = self._discover(epoch, hello.name, path, now=now)
             elif epoch in peer.retired:
                 state.counters["retired_epoch"] += 1
-                if now - peer.retired_at_s > CONFLICT_AFTER_S:  # no straggler: the earlier holder still runs
-                    self._refuse_name(peer.name, path, now=now)
-                return None
+                if now - peer.retired_at_s <= CONFLICT_AFTER_S:  # a straggler
+                    return None
+                self._refuse_name(peer.name, path, now=now)  # the earlier holder still runs
+                if peer.is_online:
+                    return None
+                peer.retired.remove(epoch)  # and the later one does not: it was itself a straggler, of a life before
+                self._restart(peer, epoch, path, now=now)
             else:
                 self._restart(peer, epoch, path, now=now)
         elif peer.name != hello.name:
