@@ -41,7 +41,8 @@ test: $(STAMP) tools
 # The kernel that the box needs is built once per machine (about 10 minutes) and then taken from the cache. System tests
 # then run in two boxes side by side, in virtual time: over netem, with the kernel's mesh and radios, then over air.
 OVER_NETEM := tests/agreement/test_agreement_engines.py $(wildcard tests/system/test_kernel_netem*.py) \
-  $(addprefix tests/system/test_,lab_flood_netem.py lab_hwsim.py lab_mesh.py lab_scenarios.py netem_capture.py udp_mesh_goals.py)
+  $(addprefix tests/system/test_,lab_flood_netem.py lab_hwsim.py lab_measured.py lab_mesh.py lab_scenarios.py lab_wnet_hwsim.py \
+  netem_capture.py udp_mesh_goals.py)
 OVER_AIR := $(addprefix tests/system/test_,air.py lab_scenarios.py)
 IN_BOXES := -n 2 --lab-clock=virtual
 
@@ -53,7 +54,7 @@ test-vm: $(STAMP) tools vm-tools
 
 # Robots in tunnels, whole teams of them, in virtual time.
 MISSIONS := $(wildcard tests/system/test_lab_tunnels*.py) \
-  $(addprefix tests/system/test_lab_,measured.py reroutes.py rose_mesh.py)
+  $(addprefix tests/system/test_lab_,reroutes.py rose_mesh.py)
 
 test-tunnels: $(STAMP) tools vm-tools
 	@$(BIN)/netlab vm build

@@ -11,14 +11,12 @@ from hypothesis import strategies as st
 from wnet.core import groups
 from wnet.core.arp import Arp
 from wnet.core.groups import Groups, Membership, mac_of
-from wnet.core.topology import Node
-from wnet.core.wire_control import NodeInfo
 
 scapy = pytest.importorskip("scapy.all", reason="scapy is missing: make venv")
 
 OWN, OTHER = bytes((2, 0, 0, 0, 0, 1)), bytes((2, 0, 0, 0, 0, 2))
 MINE, THEIRS = bytes((10, 0, 0, 1)), bytes((10, 0, 0, 2))
-NODES = [Node(OTHER, info=NodeInfo(0.0, (THEIRS,)))]
+OWNERS = {THEIRS: OTHER}
 
 
 def arp(operation: int, sender: bytes, target: bytes, sender_mac: bytes = OWN) -> bytes:
@@ -31,7 +29,7 @@ def arp(operation: int, sender: bytes, target: bytes, sender_mac: bytes = OWN) -
 
 
 def test_a_request_for_a_known_address_is_answered_as_its_owner_would() -> None:
-    answer = Arp(OWN).read(arp(1, MINE, THEIRS), NODES)
+    answer = Arp(OWN).read(arp(1, MINE, THEIRS), OWNERS)
     assert answer is not None
     read = scapy.Ether(answer)[scapy.ARP]
     assert (read.op, read.hwsrc, read.psrc, read.hwdst, read.pdst) == (
@@ -56,13 +54,13 @@ def test_a_request_for_a_known_address_is_answered_as_its_owner_would() -> None:
     ids=["unknown", "gratuitous", "a reply", "not ours", "cut off"],
 )
 def test_everything_else_is_not_answered(frame: bytes) -> None:
-    assert Arp(OWN).read(frame, NODES) is None
+    assert Arp(OWN).read(frame, OWNERS) is None
 
 
 def test_own_addresses_are_learnt_from_own_arp_and_told_ones_come_first() -> None:
     book = Arp(OWN)
     for n in range(40):
-        book.read(arp(1, bytes((10, 0, 1, n)), THEIRS), [])
+        book.read(arp(1, bytes((10, 0, 1, n)), THEIRS), {})
     assert len(book.addresses) == 16
     assert book.addresses[0] == bytes((10, 0, 1, 39))
     book.tell([MINE])

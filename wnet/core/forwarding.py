@@ -80,8 +80,8 @@ class Forwarder:
         """Send a frame of this node; ARP that can be answered here is."""
         destination = inner[:6]
         if destination[0] & 1:
-            answer = self._arp.read(inner, self._graph.nodes.values()) if inner[12:14] == b"\x08\x06" else None
-            if answer is not None and self._routes.get(answer[6:12]) is not None:
+            answer = self._arp.read(inner, self._graph.owners) if inner[12:14] == b"\x08\x06" else None
+            if answer is not None:
                 self._journal.count(Count.ARP_ANSWERED)
                 self.delivered.append(answer)
                 return

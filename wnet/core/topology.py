@@ -18,6 +18,7 @@ MAX_NODES = 1024
 MAX_LINKS = 256
 """Links towards one node that are kept."""
 _HOLD_INTERVALS = 3.5
+_OWNERS_MAX = 4096
 _FORMER_EPOCHS = 4
 _HALF = 1 << 31
 
@@ -56,6 +57,9 @@ class TopologyGraph:
         self._config = config
         self.own = Node(mac, epoch=epoch, has_spoken=True, expires=float("inf"))
         self.nodes: dict[bytes, Node] = {mac: self.own}
+        #: IPv4 addresses and who told them last. Those of nodes that are away stay: a host whose question nobody
+        #: answers asks once a second (RFC 1122, 2.3.2.1), and would wait for that long when the other is back.
+        self.owners: dict[bytes, bytes] = {}
         self.version = 0
         self.digest = 0
         self.next_expiry = float("inf")
@@ -206,6 +210,11 @@ class TopologyGraph:
             return
         if self._config.utilisation_weight > 0 or info.groups != node.info.groups:
             self.changed()
+        for address in info.addresses:
+            self.owners.pop(address, None)
+            self.owners[address] = node.mac
+        while len(self.owners) > _OWNERS_MAX:
+            del self.owners[next(iter(self.owners))]
         node.info = info
 
     def _set_links(self, node: Node, edges: dict[bytes, Edge]) -> None:
