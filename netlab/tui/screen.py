@@ -366,6 +366,9 @@ class MainScreen(Screen[None]):
         node = self._chosen_node()
         if node is None:
             return
+        if self.app.is_web:
+            self._say(f"a browser has no room for a shell; in a terminal: netlab shell {node}", bad=True)
+            return
         with self.app.suspend():
             print(f"\nA shell in {node}; the lab goes on. Its end (exit, or Ctrl+D) leads back.\n")
             try:

@@ -1,6 +1,7 @@
 """A headless Chromium on one page, driven over the DevTools protocol through a pipe: no port, no further package.
 
-Keeps what the page logged and what it asked the network for. Source: https://chromedevtools.github.io/devtools-protocol.
+Keeps what the page logged, what it asked the network for, and the bytes that came over its websockets.
+Source: https://chromedevtools.github.io/devtools-protocol.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ class Browser:
         self._session: str | None = None
         self.logged: list[str] = []
         self.requested: list[str] = []
+        self.received = b""
         target = next(t for t in self._send("Target.getTargets")["targetInfos"] if t["type"] == "page")
         attached = self._send("Target.attachToTarget", targetId=target["targetId"], flatten=True)
         self._session = attached["sessionId"]
@@ -82,15 +84,15 @@ class Browser:
         os.close(self._out)
         self._profile.cleanup()
 
-    def show(self, page: Path, *, width: int, height: int = 900, dark: bool = False, scale: float = 1.0) -> None:
-        """Open a page in a window of that many CSS pixels, light or dark, and wait until it is there."""
+    def show(self, page: Path | str, *, width: int, height: int = 900, dark: bool = False, scale: float = 1.0) -> None:
+        """Open a file or a URL in a window of that many CSS pixels, light or dark, and wait until it is there."""
         self._send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False
         )
         self.colours(dark=dark)
         self.logged, self.requested = [], []
         self._loaded = False
-        self._send("Page.navigate", url=page.resolve().as_uri())
+        self._send("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         deadline = time.monotonic() + _ANSWER_S
         while not self._loaded:
             self._event(deadline)
@@ -169,6 +171,10 @@ class Browser:
                 self.logged.append(told["entry"]["text"])
             case "Network.requestWillBeSent" if not told["request"]["url"].startswith("data:"):
                 self.requested.append(told["request"]["url"])
+            case "Network.webSocketCreated":
+                self.requested.append(told["url"])
+            case "Network.webSocketFrameReceived" if told["response"]["opcode"] == 2:
+                self.received += base64.b64decode(told["response"]["payloadData"])
 
 
 def main(argv: Sequence[str]) -> None:

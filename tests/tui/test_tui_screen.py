@@ -222,3 +222,13 @@ def test_topologies_are_chosen_from_a_list() -> None:
 def test_a_file_says_what_it_is_about() -> None:
     assert about("# One line,\n# and another.\nname: x\n# not this\n") == "One line, and another."
     assert about("name: x") == ""
+
+
+def test_shell_in_a_browser_names_the_command_for_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LabApp, "is_web", True)
+
+    async def script(pilot: Pilot[Any], _session: FakeSession, screen: MainScreen) -> None:
+        await pilot.press("right", "s")
+        assert "netlab shell base" in said(screen)
+
+    walk(script)
