@@ -7,24 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rose.core.addressing import ServiceId
+from udp_mesh.core.keys import KEY_BYTES, parse_key
+from udp_mesh.core.keys import MAX_KEYS as KEYS_MAX
 
-KEY_BYTES = 32
-KEYS_MAX = 4
-
-
-def parse_key(text: str) -> bytes:
-    """Return the key that 64 hexadecimal digits stand for.
-
-    Raises:
-        ValueError: It is anything else. The message does not repeat the text.
-    """
-    try:
-        key = bytes.fromhex(text)
-    except ValueError:
-        key = b""
-    if len(key) != KEY_BYTES or len(text) != 2 * KEY_BYTES:
-        raise ValueError("a key is 64 hexadecimal digits, such as `rose key` prints")
-    return key
+__all__ = ["KEYS_MAX", "KEY_BYTES", "KeyRing", "epoch_key", "key_id", "parse_key"]
 
 
 def key_id(key: bytes) -> int:
