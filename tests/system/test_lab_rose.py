@@ -11,6 +11,8 @@ from netlab.lab.facade import Lab
 from netlab.pytest_plugin import MakeLab
 
 TWO = {"name": "rose", "duration": "1s", "nodes": {"a": {}, "b": {}}, "links": [{"between": ["a", "b"]}]}
+#: Looks at what a program has said so far; each takes some milliseconds.
+TRIES = 5000
 LASER = 'name: laser, id: 0.1, run: "rose.examples.laser:Laser", settings: {rate_hz: 50, beams: 8}'
 
 
@@ -86,10 +88,11 @@ def test_a_subscriber_that_was_out_of_reach_goes_on_without_any_action(make_lab:
 
 def lines_after(lab: Lab, count: int) -> list[str]:
     """What was heard so far, at least ``count`` lines."""
-    while True:
+    for _ in range(TRIES):
         lines = lab.exec("b", "cat", "/tmp/heard").stdout.splitlines()
         if len(lines) >= count:
             return lines[:-1] if lines and not lines[-1].endswith("}") else lines
+    raise AssertionError(f"only {len(lines)} lines were heard")
 
 
 def test_udp_mesh_delivers_what_multicast_would_lose(make_lab: MakeLab) -> None:
@@ -99,8 +102,7 @@ def test_udp_mesh_delivers_what_multicast_would_lose(make_lab: MakeLab) -> None:
         "links": [{"between": ["a", "b"], "loss": "30%"}],
     }
     lab = make_lab(lossy)
-    while b'"online": true' not in lab.exec("b", "udp-mesh", "peers", "--json").stdout.encode():
-        pass
+    assert any('"online": true' in lab.exec("b", "udp-mesh", "peers", "--json").stdout for _ in range(50))
     laser = LASER + ", transport: udp_mesh, offline: store"
     display = 'name: display, id: 0.2, run: "rose.examples.display:Display", transport: udp_mesh, '
     display += "settings: {laser: 10.1.0.1/0.1, every_s: 0.5}"
@@ -115,8 +117,9 @@ def test_udp_mesh_delivers_what_multicast_would_lose(make_lab: MakeLab) -> None:
 
 def display_lines(lab: Lab, *, until: Callable[[list[tuple[int, int]]], bool]) -> list[tuple[int, int]]:
     """What the display has said so far: scans, and how many are missing."""
-    while True:
+    for _ in range(TRIES):
         said = re.findall(r"(\d+) scans, (\d+) lost", lab.exec("b", "cat", "/tmp/log").stdout)
         lines = [(int(scans), int(lost)) for scans, lost in said]
         if lines and until(lines):
             return lines
+    raise AssertionError(f"the display says no more: {lines[-1:]}")
