@@ -115,10 +115,6 @@ class ServiceId:
             mapped.ipv4_mapped or mapped, int.from_bytes(packed[16:18], "big"), int.from_bytes(packed[18:], "big")
         )
 
-    def on_host(self, robot: int, service: int) -> ServiceId:
-        """Return the id of another service of the same host."""
-        return ServiceId(self.host, robot, service)
-
 
 def announce_group(host: Host) -> Host:
     """Return the group in which the hosts of ``host``'s address family announce themselves, on ``ANNOUNCE_PORT``."""

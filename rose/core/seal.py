@@ -27,15 +27,11 @@ from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 
 from rose.core.addressing import ServiceId
 from rose.core.keys import KeyRing, epoch_key, key_id
-from rose.core.wire import HEADER_BYTES, TAG_BYTES, Fault, Header
+from rose.core.wire import HEADER_BYTES, SEAL_BYTES, Fault, Header
+from udp_mesh.core.replay import ReplayWindow
 
 _NUMBER = struct.Struct("!Q")
 _NONCE = struct.Struct("!IQ")
-#: How much longer sealing makes a datagram.
-SEAL_BYTES = _NUMBER.size + TAG_BYTES
-#: Datagrams behind the newest one that are still taken.
-WINDOW = 4096
-_WHOLE = (1 << WINDOW) - 1
 
 
 def _by_id(keys: Sequence[bytes]) -> dict[int, bytes]:
@@ -68,34 +64,13 @@ class Sealer:
         return header + number + sealed
 
 
-class _Window:
-    """Which datagrams of one epoch were taken: bit i of ``seen`` is number ``newest - i``."""
-
-    __slots__ = ("newest", "seen")
-
-    def __init__(self) -> None:
-        self.newest, self.seen = -1, 0
-
-    def is_new(self, number: int) -> bool:
-        behind = self.newest - number
-        return behind < 0 or (behind < WINDOW and not self.seen >> behind & 1)
-
-    def take(self, number: int) -> None:
-        ahead = number - self.newest
-        if ahead <= 0:
-            self.seen |= 1 << -ahead
-        else:
-            self.seen = (self.seen << ahead | 1) & _WHOLE if ahead < WINDOW else 1
-            self.newest = number
-
-
 class Opener:
     """Opens what the senders seal whose keys are known; bounded by the number of those senders."""
 
     def __init__(self, keys: KeyRing, *, fresh_s: float = 60.0) -> None:
         """``fresh_s``: how old, by this host's clock, the first datagram of a start may be."""
         self._fresh_ns = round(fresh_s * 1e9)
-        self._believed: dict[ServiceId, tuple[int, _Window]] = {}
+        self._believed: dict[ServiceId, tuple[int, ReplayWindow]] = {}
         self._ciphers: dict[tuple[ServiceId, bytes], tuple[int, ChaCha20Poly1305]] = {}
         self.use(keys)
 
@@ -123,7 +98,7 @@ class Opener:
         if len(datagram) < HEADER_BYTES + SEAL_BYTES:
             return Fault.TRUNCATED
         (number,) = _NUMBER.unpack_from(datagram, HEADER_BYTES)
-        epoch_ns, window = self._believed.get(header.sender, (0, _Window()))
+        epoch_ns, window = self._believed.get(header.sender, (0, ReplayWindow()))
         if header.epoch_ns < epoch_ns or (header.epoch_ns == epoch_ns and not window.is_new(number)):
             return Fault.REPLAYED
         payload = self._decrypt(key, header, number, datagram)
@@ -132,7 +107,7 @@ class Opener:
         if header.epoch_ns > epoch_ns:
             if abs(wall_ns - header.published_ns) > self._fresh_ns:
                 return Fault.STALE
-            window = _Window()
+            window = ReplayWindow()
             self._believed[header.sender] = (header.epoch_ns, window)
         window.take(number)
         return payload

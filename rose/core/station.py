@@ -15,7 +15,18 @@ from rose.core.keys import KeyRing
 from rose.core.parts import Cut, cut
 from rose.core.reception import Reception, Sample
 from rose.core.types import AnyMessage, Message, encode_message, info_of
-from rose.core.wire import DATAGRAM_BYTES_MAX, HEADER_BYTES, NO_FLAGS, Fault, Flag, Header, Kind, decode, encode
+from rose.core.wire import (
+    DATAGRAM_BYTES_MAX,
+    HEADER_BYTES,
+    NO_FLAGS,
+    SEAL_BYTES,
+    Fault,
+    Flag,
+    Header,
+    Kind,
+    decode,
+    encode,
+)
 from rose.errors import RoseError
 
 if TYPE_CHECKING:
@@ -24,7 +35,6 @@ if TYPE_CHECKING:
 #: Commands and answers whose parts are waited for at the same time, and the longest of them.
 GATHERED_MAX = 64
 COMMAND_BYTES_MAX = 256 * 1024
-_SEAL_BYTES = 24
 
 
 Frames = tuple[tuple[Header, bytes], ...]
@@ -74,7 +84,7 @@ class Station:
         self.sid = sid
         self.faults: dict[Fault, int] = {}
         self._epoch_ns = epoch_ns
-        self._part_bytes = datagram_bytes - HEADER_BYTES - _SEAL_BYTES
+        self._part_bytes = datagram_bytes - HEADER_BYTES - SEAL_BYTES
         self._sequences = dict.fromkeys(Kind, -1)
         self._receptions: dict[ServiceId, Reception] = {}
         self._gathered: OrderedDict[tuple[ServiceId, int, Kind, int], list[bytes | None]] = OrderedDict()

@@ -36,6 +36,8 @@ VERSION = 1
 _HEADER = struct.Struct("!2sBBBBHH20sQQQ4sBB")
 HEADER_BYTES = _HEADER.size
 TAG_BYTES = 16
+#: How much longer sealing makes a datagram: its number since the sender's start, and the tag.
+SEAL_BYTES = 8 + TAG_BYTES
 #: What fits beside the headers of IPv6 and UDP into 1500 bytes.
 DATAGRAM_BYTES_MAX = 1452
 PARTS_MAX = 4096
