@@ -114,20 +114,3 @@ def test_a_flood_that_was_killed_works_again_after_its_restart(make_lab: MakeLab
     assert not result.problems, result.report()
     assert result.stream("t")["delivered"] == 60, result.report()
     assert 0.3 <= result.stream("t")["longest_gap_s"] < 2.0, "it was away, and came back"
-
-
-def test_a_cut_costs_nothing_while_another_way_is_left(make_lab: MakeLab) -> None:
-    ways = [("a", "r"), ("r", "b"), ("a", "q"), ("q", "b")]
-    cuts = [("0.5s", "r"), ("1.5s", "q")]
-    diamond = {
-        **LINE,
-        "duration": "2.5s",
-        "nodes": {**LINE["nodes"], "q": {}},
-        "links": [{"between": list(way), "delay": "2ms"} for way in ways],
-        "events": [{"at": at, "outage": {"between": [relay, "b"], "for": "800ms"}} for at, relay in cuts],
-    }
-    result = make_lab(diamond, packets=False).run()
-    delays = [row["delay_s"] for row in result.summary["reroutes"]]
-    assert len(delays) == 2
-    assert max(delays) < 0.15, "one message interval and one way"
-    assert result.stream("t")["delivered"] == result.stream("t")["sent"]

@@ -1,4 +1,4 @@
-"""Cuts in a mesh of radios that move: only those that a path survives, and that cut something, are reroutes."""
+"""Cuts in a mesh: which of them count, and how soon there is another way. In virtual time: the claims are times."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from netlab.pytest_plugin import MakeLab
+
+pytestmark = [pytest.mark.usefixtures("taps"), pytest.mark.lab_clock("virtual")]
 
 NODE = {"processes": ["udp_mesh"]}
 SCENARIO: dict[str, Any] = {
@@ -42,10 +44,36 @@ SCENARIO: dict[str, Any] = {
 }
 
 
-@pytest.mark.usefixtures("taps")
 def test_a_cut_counts_by_who_is_in_range(make_lab: MakeLab) -> None:
     result = make_lab(SCENARIO).run()
     assert not result.problems
     assert result.passed, result.report()
     assert [round(entry["cut_at_s"], 1) for entry in result.summary["reroutes"]] == [4.0]
     assert [round(entry["restored_at_s"], 1) for entry in result.summary["reconnects"]] == [10.0]
+
+
+@pytest.mark.parametrize(
+    ("mesh", "max_s"),
+    [
+        ("flood", 0.15),  # one message interval and one way: it uses both
+        ("wnet", 0.3),
+    ],
+)
+def test_a_cut_costs_little_while_another_way_is_left(make_lab: MakeLab, mesh: str, max_s: float) -> None:
+    ways = [("a", "r"), ("r", "b"), ("a", "q"), ("q", "b")]
+    diamond = {
+        "duration": "2.5s",
+        "mesh": mesh,
+        "nodes": {"a": NODE, "r": {}, "q": {}, "b": NODE},
+        "links": [{"between": list(way), "delay": "2ms"} for way in ways],
+        "traffic": [{"from": "a", "to": "b", "topic": "t", "size": "100B", "rate": "20Hz"}],
+        "events": [
+            {"at": at, "outage": {"between": [relay, "b"], "for": "800ms"}}
+            for at, relay in (("0.5s", "r"), ("1.5s", "q"))
+        ],
+    }
+    result = make_lab(diamond, packets=False).run()
+    delays = [row["delay_s"] for row in result.summary["reroutes"]]
+    assert len(delays) == 2
+    assert all(delay is not None and delay < max_s for delay in delays), result.report()
+    assert result.stream("t")["delivered"] == result.stream("t")["sent"]

@@ -177,22 +177,6 @@ def test_a_node_without_links_is_a_mesh_of_its_own(make_lab: MakeLab) -> None:
     assert json.loads(lab.exec("z", "wnet", "links", "--json").stdout)["links"] == []
 
 
-def test_a_cut_costs_little_while_another_way_is_left(make_lab: MakeLab) -> None:
-    ways = [("a", "r"), ("r", "b"), ("a", "q"), ("q", "b")]
-    cuts = [("0.5s", "r"), ("1.5s", "q")]
-    diamond = {
-        **LINE,
-        "duration": "2.5s",
-        "nodes": {**LINE["nodes"], "q": {}},
-        "links": [{"between": list(way), "delay": "2ms"} for way in ways],
-        "events": [{"at": at, "outage": {"between": [relay, "b"], "for": "800ms"}} for at, relay in cuts],
-    }
-    result = make_lab(diamond, packets=False).run()
-    delays = [row["delay_s"] for row in result.summary["reroutes"]]
-    assert len(delays) == 2
-    assert all(delay is not None and delay < 0.5 for delay in delays), result.report()
-
-
 @pytest.mark.usefixtures("taps")
 def test_by_radio_signals_and_rates_are_real(make_lab: MakeLab) -> None:
     lab = make_lab(BY_RADIO)
