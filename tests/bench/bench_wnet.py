@@ -78,6 +78,7 @@ def multicast(mesh: Mesh, _options: argparse.Namespace) -> Found:
                 "p50_s": quantile(delays, 0.5) if delays else None,
                 "p95_s": quantile(delays, 0.95) if delays else None,
             }
+            print(mesh.name, rate_bps, found[str(rate_bps)], flush=True)
     return found
 
 

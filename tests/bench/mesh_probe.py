@@ -40,10 +40,10 @@ def _run(sock: socket.socket, options: argparse.Namespace) -> dict[str, object]:
     received: list[tuple[int, int, int, int, int]] = []
     sent = refused = 0
     end_s = time.monotonic() + options.lasts
-    next_s = time.monotonic() + options.after
+    next_s = time.monotonic() + options.after if options.to else end_s
     stop_s = min(end_s, next_s + options.sends)
     while (now := time.monotonic()) < end_s:
-        if options.to and next_s <= now < stop_s:
+        if next_s <= now < stop_s:
             data = _HEAD.pack(options.number, sent, time.time_ns()).ljust(options.size, b"\0")
             for address in options.to:
                 with contextlib.suppress(OSError):
@@ -52,7 +52,7 @@ def _run(sock: socket.socket, options: argparse.Namespace) -> dict[str, object]:
                 refused += 1
             sent += 1
             next_s += 1 / options.rate
-        until_s = min(end_s, next_s) if options.to and next_s < stop_s else end_s
+        until_s = next_s if max(now, next_s) < stop_s else end_s
         if select.select([sock], [], [], max(0.0, until_s - time.monotonic()))[0]:
             with contextlib.suppress(OSError):
                 while True:
