@@ -93,6 +93,9 @@ class MeshConfig:
     """Frames up to this size to one next hop share a member's frame, 0..1500; 0: none do."""
     queue_frames: int = 200
     """Frames that wait per member and class of urgency, 1..100000; beyond it the oldest is dropped."""
+    queue_target_s: float = 0.02
+    """Where all frames of a class wait longer than this for 0.1 s, some are dropped for the others (RFC 8289),
+    0.001..60."""
     queue_lifetime_s: float = 1.0
     """A frame that waited longer is dropped, 0.01..60."""
     key: tuple[bytes, ...] = field(default=(), repr=False)
@@ -149,6 +152,7 @@ CHECKS: dict[str, Check] = {
     "redundant_dscp": number(0, 63, whole=True),
     "aggregate_bytes": number(0, 1500, whole=True),
     "queue_frames": number(1, 100_000, whole=True),
+    "queue_target_s": number(0.001, 60, whole=False),
     "queue_lifetime_s": number(0.01, 60, whole=False),
     "key": key,
 }

@@ -47,6 +47,7 @@ class WnetSettings(StrictModel):
     redundant_dscp: Annotated[int, Field(ge=0, le=63)] | None = None
     aggregate_bytes: Annotated[int, Field(ge=0, le=1500)] | None = None
     queue_frames: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    queue_target_s: Annotated[float, _seconds(0.001, 60.0)] | None = Field(default=None, alias="queue_target")
     queue_lifetime_s: Annotated[float, _seconds(0.01, 60.0)] | None = Field(default=None, alias="queue_lifetime")
     key: TeamKeys | None = None
 

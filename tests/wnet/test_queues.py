@@ -13,6 +13,7 @@ from wnet.core.seen import GENERATION, Seen
 from wnet.core.transmissions import Entry, Packet, Transmission
 from wnet.core.urgency import urgency_of, urgency_of_dscp
 
+TARGET_S = 0.02
 OWN, A, B = (bytes((2, 0, 0, 0, 0, n)) for n in (1, 2, 3))
 
 
@@ -28,7 +29,7 @@ def frame(to: Link, urgency: int, number: int = 0) -> Transmission:
 
 
 def test_the_most_urgent_leaves_first_and_next_hops_take_turns() -> None:
-    queue, a, b = MemberQueue(10), link(A), link(B)
+    queue, a, b = MemberQueue(10, TARGET_S), link(A), link(B)
     waiting = [frame(a, 6, 1), frame(a, 6, 2), frame(b, 6, 3), frame(a, 1, 4)]
     for transmission in waiting:
         queue.push(transmission)
@@ -38,7 +39,7 @@ def test_the_most_urgent_leaves_first_and_next_hops_take_turns() -> None:
 
 
 def test_a_next_hop_with_much_under_way_does_not_hold_up_others() -> None:
-    queue, a, b = MemberQueue(10), link(A), link(B)
+    queue, a, b = MemberQueue(10, TARGET_S), link(A), link(B)
     a.timer.window = 1.0
     blocked, free = frame(a, 1), frame(b, 6)
     a.pending[0] = (blocked, blocked.entries[0], 0.0)
@@ -51,11 +52,37 @@ def test_a_next_hop_with_much_under_way_does_not_hold_up_others() -> None:
 
 
 def test_a_full_class_loses_the_oldest_of_its_longest_row_and_no_other_class_does() -> None:
-    queue, a, b = MemberQueue(3), link(A), link(B)
+    queue, a, b = MemberQueue(3, TARGET_S), link(A), link(B)
     first = frame(a, 6, 1)
     assert [queue.push(t) for t in (first, frame(a, 6, 2), frame(b, 6, 3), frame(a, 1, 4))] == [None] * 4
     assert queue.push(frame(b, 6, 5)) is first
     assert len(queue) == 4
+
+
+def test_a_row_that_stands_loses_frames_and_the_others_do_not() -> None:
+    queue, a, b = MemberQueue(1000, TARGET_S), link(A), link(B)
+    condemned: list[Transmission] = []
+    for turn in range(400):  # two for a, one for b; two leave
+        now = turn * 0.01
+        for to in (a, a, b):
+            transmission = frame(to, 6)
+            transmission.queued_at = now
+            queue.push(transmission)
+        for _ in range(2):
+            taken = queue.pop()
+            assert taken is not None
+            if queue.stands(taken, now=now):
+                condemned.append(taken)
+    assert len(condemned) > 50, "frames for b, on time, say nothing of those for a"
+    assert {transmission.entries[0].link for transmission in condemned} == {a}
+
+
+def test_what_is_sent_again_is_not_judged_by_how_long_the_first_time_took() -> None:
+    queue, a = MemberQueue(10, TARGET_S), link(A)
+    again = frame(a, 6)
+    again.attempts = 1
+    queue.push(frame(a, 6))
+    assert not any(queue.stands(again, now=turn / 100) for turn in range(100))
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,8 @@ class Drop(StrEnum):
     QUEUE_FULL = "queue_full"
     LATE = "late"
     """Waited longer than ``queue_lifetime_s``."""
+    STANDING_QUEUE = "standing_queue"
+    """Went so that those behind it are not late: they have all waited longer than ``queue_target_s`` for a while."""
     OVERSIZED = "oversized"
     """Does not fit into a member's frame."""
     FOREIGN_SOURCE = "foreign_source"

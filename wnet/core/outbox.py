@@ -53,7 +53,7 @@ class Outbox:
         self._seal = seal
         self._on_closed = on_closed
         self.retries: Retries
-        self._queues = [MemberQueue(config.queue_frames) for _ in members]
+        self._queues = [MemberQueue(config.queue_frames, config.queue_target_s) for _ in members]
         self._control: list[deque[tuple[bytes, bytes]]] = [deque(maxlen=_MAX_CONTROL) for _ in members]
         self._owing: list[dict[Link, None]] = [{} for _ in members]
         self._later: list[tuple[float, int, Transmission]] = []
@@ -140,7 +140,7 @@ class Outbox:
             yield self._outgoing(member, head, body, None, CONTROL)
         queue = self._queues[member]
         while (transmission := queue.pop()) is not None:
-            if self._is_sendable(transmission, now):
+            if self._is_sendable(member, transmission, now):
                 yield self._send(member, transmission, now)
         for link in [link for link in self._owing[member] if link.ack_due <= now]:
             yield self._outgoing(member, link.address_pair, self._ack(link), None, CONTROL)
@@ -153,14 +153,20 @@ class Outbox:
             queue.lengths[urgency] and queue.following(link, urgency) is not None for urgency in range(1, CLASSES)
         )
 
-    def _is_sendable(self, transmission: Transmission, now: float) -> bool:
+    def _is_sendable(self, member: int, transmission: Transmission, now: float) -> bool:
         packet = transmission.packet
-        if packet.urgency != CONTROL and now - transmission.queued_at > self._config.queue_lifetime_s:
-            self._drop(transmission, Drop.LATE, now)
+        reason = None if packet.urgency == CONTROL else self._too_late(member, transmission, now)
+        if reason is not None:
+            self._drop(transmission, reason, now)
             return False
         if packet.urgency != CONTROL and not all(entry.link.is_usable for entry in transmission.entries):
             self._on_closed(transmission, now)
         return bool(transmission.entries) or transmission.is_group
+
+    def _too_late(self, member: int, transmission: Transmission, now: float) -> Drop | None:
+        if now - transmission.queued_at > self._config.queue_lifetime_s:
+            return Drop.LATE
+        return Drop.STANDING_QUEUE if self._queues[member].stands(transmission, now=now) else None
 
     def _drop(self, transmission: Transmission, reason: Drop, now: float) -> None:
         packet = transmission.packet
@@ -214,7 +220,7 @@ class Outbox:
             if following is None or not self._fits(following, most, limit - size):
                 break
             queue.take_following(link, urgency)
-            if not self._is_sendable(following, now):
+            if not self._is_sendable(member, following, now):
                 continue
             bodies.append(self._body(following, now))
             size += wire.AGGREGATED_BYTES + len(bodies[-1])
