@@ -80,7 +80,7 @@ def _serve(config: DaemonConfig, arguments: argparse.Namespace) -> int:
         control = ControlServer(
             config.socket or default_socket(), lambda word: answer(word, mesh.snapshot(now=time.monotonic()))
         )
-        feed = None if arguments.events_fd is None else EventFeed(arguments.events_fd)
+        feed = None if arguments.events_fd is None else EventFeed(arguments.events_fd, mac)
         node = Node(mesh, ports, interface, config.interface, control, feed)
         stack.pop_all()
     try:

@@ -6,10 +6,11 @@ import dataclasses
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from udp_mesh.io.feed import event_name
 from wnet.core.events import Event
+from wnet.core.snapshot import LinkState
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
 _WAITING_BYTES_MAX = 1 << 20
@@ -18,11 +19,14 @@ _WAITING_BYTES_MAX = 1 << 20
 class EventFeed:
     """Buffered per loop turn. What the reader is too slow for is dropped in whole lines and counted."""
 
-    def __init__(self, fd: int) -> None:
+    def __init__(self, fd: int, mac: bytes) -> None:
+        """``mac`` is the node's own name."""
         self._fd = fd
+        self._mac = mac.hex(":")
         self._waiting = bytearray()
         self._lost = 0
         self._counts: dict[str, int] = {}
+        self._links: list[dict[str, object]] = []
         os.set_blocking(fd, False)
 
     def add(self, event: Event) -> None:
@@ -38,6 +42,13 @@ class EventFeed:
         if told != self._counts:
             self._counts = told
             self._line({"t_ns": time.time_ns(), "event": "stats", **told})
+
+    def links(self, links: Sequence[LinkState]) -> None:
+        """Queue the links that are usable, as frames leave over them, where anything about them has changed."""
+        told = [_link(link) for link in links if link.is_usable]
+        if told != self._links:
+            self._links = told
+            self._line({"t_ns": time.time_ns(), "event": "links", "mac": self._mac, "links": told})
 
     def flush(self) -> None:
         """Write what the reader takes now; the rest waits for the next call."""
@@ -63,3 +74,16 @@ class EventFeed:
 def _plain(value: object) -> object:
     """MAC addresses as people write them."""
     return value.hex(":") if isinstance(value, bytes) else value
+
+
+def _link(link: LinkState) -> dict[str, object]:
+    """What the routing knows of a link: no figure that changes with every frame."""
+    return {
+        "neighbour": link.neighbour.hex(":"),
+        "member": link.member,
+        "quality": round(link.quality, 3),
+        "cost": None if link.cost_out is None else round(link.cost_out, 3),
+        "loss_ratio": None if link.loss_out_ratio is None else round(link.loss_out_ratio, 3),
+        "snr_db": None if link.snr_out_db is None else round(link.snr_out_db, 1),
+        "rate_bps": link.rate_bps,
+    }
