@@ -1,33 +1,29 @@
-"""Writes events and counters as JSON lines to a descriptor, never waiting for its reader."""
+"""Events, links and counters as JSON lines."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import time
 from collections.abc import Mapping, Sequence
 
 from udp_mesh.io.feed import event_name
+from udp_mesh.io.line_feed import LineFeed
 from wnet.core.events import Event
 from wnet.core.snapshot import LinkState
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
-_WAITING_BYTES_MAX = 1 << 20
 
 
-class EventFeed:
-    """Buffered per loop turn. What the reader is too slow for is dropped in whole lines and counted."""
+class EventFeed(LineFeed):
+    """The lines of a node."""
 
-    def __init__(self, fd: int, mac: bytes) -> None:
+    def __init__(self, descriptor: int, mac: bytes) -> None:
         """``mac`` is the node's own name."""
-        self._fd = fd
+        super().__init__(descriptor)
         self._mac = mac.hex(":")
-        self._waiting = bytearray()
-        self._lost = 0
         self._counts: dict[str, int] = {}
         self._links: list[dict[str, object]] = []
-        os.set_blocking(fd, False)
 
     def add(self, event: Event) -> None:
         """Queue an event."""
@@ -50,25 +46,9 @@ class EventFeed:
             self._links = told
             self._line({"t_ns": time.time_ns(), "event": "links", "mac": self._mac, "links": told})
 
-    def flush(self) -> None:
-        """Write what the reader takes now; the rest waits for the next call."""
-        if not self._waiting:
-            return
-        try:
-            del self._waiting[: os.write(self._fd, self._waiting)]
-        except BlockingIOError:
-            return
-        except OSError:  # nobody reads any more
-            self._waiting.clear()
-
     def _line(self, values: Mapping[str, object]) -> None:
-        if len(self._waiting) > _WAITING_BYTES_MAX:
-            self._lost += 1
-            return
-        if self._lost:
-            lost, self._lost = self._lost, 0
-            self._line({"t_ns": time.time_ns(), "event": "events_lost", "count": lost})
-        self._waiting += _ENCODER.encode(values).encode() + b"\n"
+        if self.has_room():
+            self.add_line(_ENCODER.encode(values).encode() + b"\n")
 
 
 def _plain(value: object) -> object:
