@@ -21,6 +21,8 @@ from wnet.core import events
 from wnet.core.mesh import Member, Mesh, Outgoing, Reception
 
 MTU = 1700
+#: At which a driver sends where it is not told a rate; receivers are told it all the same.
+DRIVER_RATE_BPS = 6_000_000
 
 
 @dataclass(slots=True)
@@ -218,7 +220,7 @@ class MeshNet(VirtualCalls):
                 path.free_at_s = leaves_s = max(path.free_at_s, self.now) + airtime_s
             reception = None
             if path.snr_db is not None:
-                reception = Reception(-95.0 + path.snr_db, -95.0, outgoing.rate_bps)
+                reception = Reception(-95.0 + path.snr_db, -95.0, outgoing.rate_bps or DRIVER_RATE_BPS)
             self._order += 1
             arrival = (leaves_s + path.delay_s, self._order, *receiver, outgoing.frame, reception)
             heapq.heappush(self._in_air, arrival)
