@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from udp_mesh.core.keys import KEY_BYTES
 from udp_mesh.core.peer_status import PathStatus
+from udp_mesh.io.process import ending_quietly
 
 if TYPE_CHECKING:
     from udp_mesh.client import Client, Fate, PublishOptions
@@ -32,17 +33,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     from udp_mesh.client import Client, ClientError
 
-    try:
-        with Client(arguments.socket, connect_timeout_s=arguments.timeout) as client:
-            return _COMMANDS[arguments.command](client, arguments)
-    except ClientError as error:
-        print(f"udp-mesh: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 0
-    except BrokenPipeError:  # whoever read our output has enough
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123 (the interpreter flushes it at its end)
-        return 0
+    with ending_quietly():
+        try:
+            with Client(arguments.socket, connect_timeout_s=arguments.timeout) as client:
+                return _COMMANDS[arguments.command](client, arguments)
+        except ClientError as error:
+            print(f"udp-mesh: {error}", file=sys.stderr)
+            return 1
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:

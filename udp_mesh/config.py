@@ -26,6 +26,7 @@ from udp_mesh.config_neighbours import Neighbour
 from udp_mesh.core import wire
 from udp_mesh.core.keys import key_id
 from udp_mesh.core.settings import MAX_REDUNDANCY, Keep, Offline, Reliability, Settings, TopicPolicy
+from udp_mesh.io.local_socket import default_path
 
 
 class ConfigError(Exception):
@@ -136,13 +137,7 @@ RUNTIME_KEYS = (
 
 def default_socket() -> str:
     """Return $UDP_MESH_SOCKET, or /run/udp_mesh.sock where that can be written, or one in the user's runtime folder."""
-    chosen = os.environ.get("UDP_MESH_SOCKET")
-    if chosen:
-        return chosen
-    user = os.environ.get("XDG_RUNTIME_DIR")
-    if Path("/run/udp_mesh.sock").exists() or os.access("/run", os.W_OK) or not user:
-        return "/run/udp_mesh.sock"
-    return f"{user}/udp_mesh.sock"
+    return default_path("udp_mesh")
 
 
 def load(path: str) -> Config:

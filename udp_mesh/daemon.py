@@ -7,7 +7,6 @@ import contextlib
 import errno
 import os
 import random
-import signal
 import socket
 import sys
 import time
@@ -18,11 +17,12 @@ from pathlib import Path
 from udp_mesh.config import Config, ConfigError, default_socket, load
 from udp_mesh.core.mesh import MeshCore, new_epoch
 from udp_mesh.io.feed import EventFeed
+from udp_mesh.io.local_socket import SocketInUse
 from udp_mesh.io.node import Node
-from udp_mesh.io.server import LocalServer, SocketInUse
+from udp_mesh.io.process import allow_exact_timers, stopped_by_signals, tell_ready
+from udp_mesh.io.server import LocalServer
 
 EXIT_BAD_ENVIRONMENT = 2
-_PR_SET_TIMERSLACK = 29
 
 
 def main(argv: Sequence[str]) -> int:
@@ -57,7 +57,7 @@ def _fail(text: str) -> int:
 
 
 def _serve(config: Config, arguments: argparse.Namespace) -> int:
-    _allow_exact_timers()
+    allow_exact_timers()
     core = MeshCore(
         config.settings(trace_fragments=arguments.trace_fragments),
         epoch=new_epoch(random.SystemRandom()),  # never seeded: it tells this start from every other
@@ -74,14 +74,11 @@ def _serve(config: Config, arguments: argparse.Namespace) -> int:
             if not Path(device).exists():
                 print(f"udp-mesh: {device} is not there; it is used once it is", file=sys.stderr, flush=True)
         node.open_store()
-        _stop_on_signals(node)
-        if arguments.ready_fd is not None:
-            os.write(arguments.ready_fd, b"READY=1\n")
-            os.close(arguments.ready_fd)
-        tell_systemd("READY=1")
-        node.run()
+        with stopped_by_signals(node):
+            tell_ready(arguments.ready_fd)
+            tell_systemd("READY=1")
+            node.run()
     finally:
-        signal.set_wakeup_fd(-1)
         node.close()
     return 0
 
@@ -94,19 +91,3 @@ def tell_systemd(state: str) -> None:
     address = "\0" + path[1:] if path.startswith("@") else path
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.sendto(state.encode(), address)
-
-
-def _stop_on_signals(node: Node) -> None:
-    def stop(_number: int, _frame: object) -> None:
-        node.stop()
-
-    signal.set_wakeup_fd(node.wake_write.fileno(), warn_on_full_buffer=False)
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
-
-
-def _allow_exact_timers() -> None:
-    """Ask the kernel not to delay our timers by the usual 50 us."""
-    import ctypes  # here because it is only needed once, and costs milliseconds
-
-    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

@@ -8,6 +8,8 @@ import os
 import sys
 from collections.abc import Sequence
 
+from udp_mesh.io.process import ending_quietly
+
 _VIEWS = {
     "topology": "print all links of the mesh that this node knows",
     "links": "print this node's own links",
@@ -30,16 +32,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     from wnet.io.control import ControlError, ask, default_socket
 
-    try:
-        told = ask(arguments.socket or default_socket(), arguments.command, timeout_s=arguments.timeout)
-        print(_text(arguments, told), flush=True)
-    except ControlError as error:
-        print(f"wnet: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 0
-    except BrokenPipeError:  # whoever read our output has enough
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123 (the interpreter flushes it at its end)
+    with ending_quietly():
+        try:
+            told = ask(arguments.socket or default_socket(), arguments.command, timeout_s=arguments.timeout)
+            print(_text(arguments, told), flush=True)
+        except ControlError as error:
+            print(f"wnet: {error}", file=sys.stderr)
+            return 1
     return 0
 
 

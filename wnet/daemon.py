@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
 import os
 import random
-import signal
 import sys
 import time
 from collections.abc import Sequence
 
+from udp_mesh.io.local_socket import SocketInUse
+from udp_mesh.io.process import allow_exact_timers, stopped_by_signals, tell_ready
 from wnet.config import ConfigError
 from wnet.core.mesh import Mesh
 from wnet.daemon_config import DaemonConfig, load
-from wnet.io.control import ControlServer, SocketInUse, default_socket
+from wnet.io.control import ControlServer, default_socket
 from wnet.io.feed import EventFeed
 from wnet.io.members import open_port
 from wnet.io.mesh_interface import InterfaceDeleted, open_mesh_interface
@@ -24,7 +24,6 @@ from wnet.views import answer
 
 EXIT_BAD_ENVIRONMENT = 2
 _EPOCH_BITS = 32
-_PR_SET_TIMERSLACK = 29
 _HIGHEST_PRIORITY = -20
 
 
@@ -80,32 +79,20 @@ def _serve(config: DaemonConfig, arguments: argparse.Namespace) -> int:
         control = ControlServer(
             config.socket or default_socket(), lambda word: answer(word, mesh.snapshot(now=time.monotonic()))
         )
-        feed = None if arguments.events_fd is None else EventFeed(arguments.events_fd)
+        feed = None if arguments.events_fd is None else EventFeed(arguments.events_fd, mac)
         node = Node(mesh, ports, interface, config.interface, control, feed)
         stack.pop_all()
     try:
-        _stop_on_signals(node)
-        if arguments.ready_fd is not None:
-            os.write(arguments.ready_fd, b"READY=1\n")
-            os.close(arguments.ready_fd)
-        node.run()
+        with stopped_by_signals(node):
+            tell_ready(arguments.ready_fd)
+            node.run()
     finally:
-        signal.set_wakeup_fd(-1)
         node.close()
     return 0
 
 
-def _stop_on_signals(node: Node) -> None:
-    def stop(_number: int, _frame: object) -> None:
-        node.stop()
-
-    signal.set_wakeup_fd(node.wake_write.fileno(), warn_on_full_buffer=False)
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
-
-
 def _be_prompt() -> None:
     """Exact timers, and the highest ordinary priority where it may be had: all the node's traffic waits for this."""
-    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    allow_exact_timers()
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, _HIGHEST_PRIORITY)

@@ -133,7 +133,9 @@ def _edge(sender: str, receiver: str, label: str, names: Mapping[str, Sequence[s
 _EDGES: dict[str, Callable[[Row], list[tuple[str, str, str]]]] = {
     "topology": lambda told: [(e["sender"], e["receiver"], f"{e['cost']:.2f}") for e in told["edges"]],
     "links": lambda told: [
-        (told["mac"], link["neighbour"], f"{link['cost_out']:.2f}") for link in told["links"] if link["is_usable"]
+        (told["mac"], link["neighbour"], _figure(link["cost_out"], "", digits=2))
+        for link in told["links"]
+        if link["is_usable"]
     ],
     "routes": lambda told: [
         (route["next_hop"] if route["hops"] > 1 else told["mac"], route["destination"], f"{route['hops']} hops")

@@ -20,6 +20,7 @@ from netlab.medium.verdicts import VERDICT_RECORD
 
 _READ_BYTES = 256 * 1024
 _MAX_LINE_BYTES = 1024 * 1024
+_MESH_PROCESS = "wnet"
 _PRESENCE = ("peer_up", "peer_down")  # events that a state is made of
 
 
@@ -119,6 +120,15 @@ class _Lines(_Stream):
 class EventFeed(_Lines):
     """JSON objects, one per line, each with its own ``t_ns``; without one the time of reading is taken."""
 
+    def __init__(self, fd: int, topics: Topics, request: AddFeed) -> None:
+        super().__init__(fd, topics, request)
+        self._mesh_node = topics.mesh.begin(request.node) if request.process == _MESH_PROCESS else None
+
+    def close(self) -> None:
+        super().close()
+        if self._mesh_node is not None:
+            self._topics.mesh.end(self._mesh_node)
+
     def _line(self, line: bytes, now_ns: int) -> None:
         try:
             record = json.loads(line)
@@ -134,6 +144,8 @@ class EventFeed(_Lines):
             line = json.dumps(record).encode()
         channel = self._topics.json(request.topic, {"node": request.node, "process": request.process})
         self._topics.writer.add_message(channel, t_ns, t_ns, line)
+        if self._mesh_node is not None:
+            self._topics.mesh.take(self._mesh_node, record)
         if record.get("event") in _PRESENCE:
             self._topics.writer.keep(channel, str(record.get("peer")), t_ns, line)
 

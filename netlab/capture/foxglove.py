@@ -16,6 +16,7 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from mcap_protobuf.schema import build_file_descriptor_set
@@ -30,6 +31,7 @@ _NODE = (0.84, 0.37, 0.0, 1.0)
 _NODE_M = 1.6  # across: to be seen on a map of hundreds of metres
 _TUNNEL = "tunnel/"
 Payload = dict[str, object]
+Place = tuple[float, float, float]
 
 
 def scene_schema() -> Schema:
@@ -125,6 +127,15 @@ def present(payload: Mapping[str, object]) -> list[tuple[str, dict[str, dict[str
     return [(node, pose) for node, pose, is_active in _all(payload) if is_active]
 
 
+def places(payload: Mapping[str, object]) -> dict[str, Place]:
+    """Where the nodes that take part are; ``payload`` is a message of ``/poses``."""
+    return {node: _place(pose["position"]) for node, pose in present(payload)}
+
+
+def _place(position: Mapping[str, float]) -> Place:
+    return position["x"], position["y"], position["z"]
+
+
 def _all(payload: Mapping[str, object]) -> list[tuple[str, dict[str, dict[str, float]], bool]]:
     nodes, poses, active = (payload.get(key) for key in ("nodes", "poses", "active"))
     assert isinstance(nodes, list)
@@ -139,6 +150,13 @@ def new_entity(scene: SceneUpdate, name: str, t_ns: int, *, frame: str = FRAME) 
     entity.timestamp.FromNanoseconds(t_ns)
     entity.lifetime.FromNanoseconds(0)
     return entity
+
+
+def delete(scene: SceneUpdate, names: Iterable[str], t_ns: int) -> None:
+    """Have entities of earlier messages disappear."""
+    for name in sorted(names):
+        deletion = scene.deletions.add(type=SceneEntityDeletion.MATCHING_ID, id=name)
+        deletion.timestamp.FromNanoseconds(t_ns)
 
 
 def points(path: Iterable[Sequence[float]]) -> list[Point3]:

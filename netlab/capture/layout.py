@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 LAYOUT_NAME = "foxglove-layout.json"
 _PATHS_MAX = 12
-_SCENES = ("/map", "/links/scene", "/nodes/scene")
+_SCENES = ("/map", "/links/scene", "/mesh/scene", "/nodes/scene")
 
 
 def foxglove_layout(metadata: Mapping[str, str]) -> dict[str, object]:
@@ -67,7 +67,7 @@ def _map() -> dict[str, object]:
         "scene": {"transforms": {"showLabel": False, "axisScale": 0, "lineWidth": 0}},
         "topics": {topic: {"visible": True} for topic in _SCENES},
         "layers": {"grid": grid},
-        "foxglovePanelTitle": "Tunnels, nodes and links",
+        "foxglovePanelTitle": "Tunnels, nodes, links and mesh",
     }
 
 

@@ -11,18 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
-from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from netlab.capture.foxglove import colour, new_entity, points, present
+from netlab.capture.foxglove import Place, colour, delete, new_entity, places, points
 
 _GOOD, _FAIR, _BAD = (0.0, 0.45, 0.7), (0.94, 0.89, 0.26), (0.84, 0.37, 0.0)
 _LIMIT_SNR_DB, _GOOD_SNR_DB = 5.0, 30.0
 _THICK_PX, _THIN_PX = 4.0, 1.5
 _DASHES = 8
 _HELD = ("outage", "no_carrier")
-
-Place = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +40,9 @@ class LinkScene:
 
     def take_poses(self, payload: Mapping[str, object]) -> None:
         """Nodes are elsewhere now; ``payload`` is a message of ``/poses``."""
-        places = {node: _place(pose["position"]) for node, pose in present(payload)}
-        self._is_new |= places != self._places
-        self._places = places
+        found = places(payload)
+        self._is_new |= found != self._places
+        self._places = found
 
     def take_link(self, row: Mapping[str, object]) -> None:
         """A directed pair has another state; ``row`` is a message of ``/links``."""
@@ -69,9 +66,7 @@ class LinkScene:
                 name = f"link/{one}-{two}/{segment}"
                 drawn.add(name)
                 self._draw(scene, name, (one, two), min(shown, key=_rank), t_ns)
-        for gone in sorted(self._drawn - drawn):
-            deletion = scene.deletions.add(type=SceneEntityDeletion.MATCHING_ID, id=gone)
-            deletion.timestamp.FromNanoseconds(t_ns)
+        delete(scene, self._drawn - drawn, t_ns)
         self._drawn = drawn
         return bytes(scene.SerializeToString())
 
@@ -121,10 +116,6 @@ def blend(value: float) -> tuple[float, float, float]:
 
 def _rank(direction: _Direction) -> tuple[bool, float]:
     return direction.state not in _HELD, direction.quality
-
-
-def _place(position: Mapping[str, float]) -> Place:
-    return position["x"], position["y"], position["z"]
 
 
 def _dashes(start: Place, end: Place) -> Sequence[Place]:

@@ -7,6 +7,7 @@ from collections.abc import Hashable, Mapping
 from typing import TYPE_CHECKING, Protocol
 
 from netlab.capture import schemas
+from netlab.capture.mesh_view import MeshView
 
 if TYPE_CHECKING:
     from netlab.capture.drawing import Drawing
@@ -57,6 +58,8 @@ class Topics:
         self._timeline_length = 0
         #: Scenario time zero, as soon as it is known.
         self.t0_ns: int | None = None
+        #: What the nodes' layer-2 meshes know.
+        self.mesh = MeshView()
         self._drawing: Drawing | None = None
         self._links: dict[Hashable, Mapping[str, object]] = {}  # for a drawing that begins later
 
@@ -93,15 +96,15 @@ class Topics:
         self.writer.keep(channel, self._stands_for(topic, payload), t_ns, body)
 
     def draw(self, now_ns: int) -> None:
-        """Record the scene of links as it is now, if it is another one than the last."""
+        """Record the scenes of links and mesh as they are now, if they are others than the last."""
         if self._drawing is not None:
-            self._drawing.draw_links(now_ns)
+            self._drawing.draw(now_ns)
 
     def _drawn(self) -> Drawing:
         if self._drawing is None:
             from netlab.capture.drawing import Drawing  # its schemas cost a start 60 ms that not every lab needs
 
-            self._drawing = Drawing(self)
+            self._drawing = Drawing(self, self.mesh)
             for row in self._links.values():
                 self._drawing.take("/links", row, 0)
         return self._drawing

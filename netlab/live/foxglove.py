@@ -22,7 +22,7 @@ DEFAULT_PORT = 8765
 _HOST = "127.0.0.1"
 _AGAIN_S = 3.0
 _WAIT_S = 0.2
-_STANDING = ("/map", "/poses", "/nodes/scene", "/links/scene")
+_STANDING = ("/map", "/poses", "/nodes/scene", "/links/scene", "/mesh/scene")
 
 
 class Sink(Protocol):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from binascii import crc_hqx
 
+from scapy.base_classes import BasePacket
 from scapy.fields import (
     BitField,
     ByteField,
@@ -20,9 +21,11 @@ from scapy.fields import (
     IntField,
     IPField,
     MACField,
+    NBytesField,
     PacketListField,
     ShortField,
     SignedByteField,
+    StrLenField,
     XByteField,
     XIntField,
     XShortField,
@@ -31,7 +34,7 @@ from scapy.layers.l2 import Ether
 from scapy.packet import Packet, Raw
 
 ETHERTYPE = 0x88B6
-HELLO, ACK, PROBE, UNICAST, MULTICAST, ROUTED, FLOOD, TC, AGGREGATE = range(0x11, 0x1A)
+HELLO, ACK, PROBE, UNICAST, MULTICAST, ROUTED, FLOOD, TC, AGGREGATE, SEALED = range(0x11, 0x1B)
 _NOWHERE = "00:00:00:00:00:00"
 _ORIGIN_BYTES, _KEY_BYTES = 8, 20
 
@@ -151,7 +154,7 @@ def _has_tail(body: Packet) -> bool:
 
 
 class Data(Packet):
-    """A body of data, or a probe; the frame inside is its payload."""
+    """A body of data, or a probe; the frame inside is its payload. ``link_sequence`` is a TC's age in 0.1 s."""
 
     name = "wnet data"
     fields_desc = [
@@ -196,8 +199,45 @@ class Data(Packet):
         return Raw if self.kind == TC else Ether
 
 
+class Shared(_Part):
+    """A body that shares a frame with others, behind its length; 0 ends the list, as in padding."""
+
+    name = "shared"
+    fields_desc = [
+        FieldLenField("length", None, fmt="H", length_of="body"),
+        StrLenField("body", b"", length_from=lambda part: part.length),
+    ]
+
+
+def _next_part(_body: Packet, _parts: list[BasePacket], _last: Packet | None, rest: bytes) -> type[Packet] | None:
+    return Shared if rest[:2].strip(b"\0") and len(rest) > 2 else None
+
+
+class Aggregate(Packet):
+    """Bodies in one frame to one neighbour; :func:`body` takes each apart."""
+
+    name = "AGGREGATE"
+    fields_desc = [XByteField("kind", AGGREGATE), PacketListField("parts", [], next_cls_cb=_next_part)]
+
+
+class Sealed(Packet):
+    """A body under the team's key: who sealed it, and the encrypted bytes with their tag."""
+
+    name = "SEALED"
+    fields_desc = [
+        XByteField("kind", SEALED),
+        XByteField("key_id", 0),
+        NBytesField("counter", 0, 6),
+        XIntField("epoch", 0),
+        FieldLenField("length", None, fmt="H", length_of="encrypted"),
+        StrLenField("encrypted", b"", length_from=lambda body: body.length),
+    ]
+
+
+_LAYERS: dict[int, type[Packet]] = {HELLO: Hello, ACK: Ack, AGGREGATE: Aggregate, SEALED: Sealed}
+
+
 def body(data: bytes) -> Packet:
     """Return a body, taken apart as far as its kind is known."""
     kind = data[0] if data else 0
-    known: type[Packet] = {HELLO: Hello, ACK: Ack}.get(kind, Data if PROBE <= kind <= TC else Raw)
-    return known(data)
+    return _LAYERS.get(kind, Data if PROBE <= kind <= TC else Raw)(data)

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netlab.capture import foxglove
-from netlab.capture.drawing import LINKS_TOPIC, NODES_TOPIC
+from netlab.capture.drawing import LINKS_TOPIC, MESH_TOPIC, NODES_TOPIC
 from netlab.capture.layout import LAYOUT_NAME, foxglove_layout, layout_file
 from netlab.capture.link_scene import LinkScene, blend, quality
 from netlab.capture.reader import Capture
@@ -211,6 +211,6 @@ def test_the_layout_names_panels_and_topics_of_the_run() -> None:
         return {part} if isinstance(part, str) else named(part["first"]) | named(part["second"])  # type: ignore[index]
 
     assert named(layout["layout"]) == set(panels)
-    assert set(panels["3D!map"]["topics"]) == {"/map", NODES_TOPIC, LINKS_TOPIC}
+    assert set(panels["3D!map"]["topics"]) == {"/map", NODES_TOPIC, LINKS_TOPIC, MESH_TOPIC}
     assert panels["Plot!latency"]["paths"][0]["value"] == "/base/traffic/received{stream==3}.latency_s"
     assert panels["StateTransitions!links"]["paths"][0]["value"] == '/links{from=="robot1"}{to=="base"}.state'

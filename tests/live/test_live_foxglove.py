@@ -118,15 +118,16 @@ def test_nobody_can_do_more_than_look(source: Source) -> None:
         assert hosts == {"0100007F"}, "listens at 127.0.0.1 and nowhere else"
 
 
-def test_who_comes_late_sees_the_map(source: Source) -> None:
-    schema = json_schema_for("/map")
-    tunnels, acts = source.declare("/map", schema), source.declare("/timeline", schema)
+@pytest.mark.parametrize("topic", ["/map", "/nodes/scene", "/links/scene", "/mesh/scene"])
+def test_who_comes_late_sees_every_scene(source: Source, topic: str) -> None:
+    schema = json_schema_for(topic)
+    tunnels, acts = source.declare(topic, schema), source.declare("/timeline", schema)
     with FoxgloveServer(source.feed(), name="pair", port=0, again_s=0.05) as server:
         source.send(tunnels, T0_NS, b"the map")
         source.send(acts, T0_NS, b"an act of the past")
         assert server.ended.wait(0.3) is False
         with look(server.port) as viewer:
-            assert [viewer.next() for _ in range(3)] == [("/map", T0_NS, b"the map")] * 3
+            assert [viewer.next() for _ in range(3)] == [(topic, T0_NS, b"the map")] * 3
 
 
 def test_it_ends_with_the_lab(source: Source) -> None:

@@ -14,14 +14,18 @@ from netlab.scapy_layers.wnet import (
     TC,
     UNICAST,
     Ack,
+    Aggregate,
     Data,
     Heard,
     Hello,
     Hop,
     Relay,
+    Sealed,
+    Shared,
     body,
 )
 from wnet.core import wire, wire_control
+from wnet.core.seal import Seal
 from wnet.core.wire_control import Attributes, NodeInfo
 
 A, B, C = (bytes.fromhex(f"02574e00000{number}") for number in (1, 2, 3))
@@ -93,6 +97,30 @@ def test_a_body_is_built_and_dissected_as_the_core_does(name: str) -> None:
     assert bytes(whole)[: len(core)] == core
     if name in ("unicast", "multicast", "routed", "flood"):
         assert whole[Ether].original == bytes(INNER)
+
+
+def test_there_is_a_layer_for_every_kind() -> None:
+    assert {kind for kind in wire.KINDS if isinstance(body(bytes([kind]) + bytes(60)), Raw)} == set()
+
+
+def test_bodies_that_share_a_frame_are_taken_apart() -> None:
+    bodies = [PAIRS["ack"][1], PAIRS["unicast"][1]]
+    built = Aggregate(parts=[Shared(body=each) for each in bodies])
+    assert bytes(built) == wire.aggregate(bodies)
+    whole = body(bytes(built) + bytes(9))
+    assert [part.body for part in whole.parts] == bodies
+    assert [type(body(part.body)) for part in whole.parts] == [Ack, Data]
+    assert wire.split(bytes(Aggregate(parts=[Shared(length=90, body=bodies[0])]))) is wire.Drop.MALFORMED
+
+
+def test_a_sealed_body_tells_who_sealed_it() -> None:
+    pytest.importorskip("cryptography")
+    sealed = Seal([bytes(32)], epoch=0x99).seal(B + A + wire.ETHERTYPE, PAIRS["ack"][1])
+    whole = body(sealed + bytes(9))
+    assert isinstance(whole, Sealed)
+    assert (whole.key_id, whole.counter, whole.epoch, whole.encrypted) == (sealed[1], 1, 0x99, sealed[14:])
+    told = {"key_id": sealed[1], "counter": 1, "epoch": 0x99, "encrypted": sealed[14:]}
+    assert bytes(Sealed(**told)) == sealed
 
 
 def test_lengths_and_checks_can_lie() -> None:

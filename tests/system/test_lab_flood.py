@@ -4,24 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Any
 
 import pytest
 
-from netlab.capture.reader import Capture
-from netlab.capture.records import JsonRecord, Kind, PacketRecord
 from netlab.pytest_plugin import MakeLab
+from tests.system.mesh_lines import check_wrapping, end_process, line, line_with_a_killed_relay, recorded
 
 pytestmark = pytest.mark.usefixtures("taps")
 
 FLOOD_TYPE = bytes.fromhex("88b5")
-LINE: dict[str, Any] = {
-    "duration": "2s",
-    "mesh": "flood",
-    "nodes": {"a": {"processes": ["udp_mesh"]}, "r": {}, "b": {"processes": ["udp_mesh"]}},
-    "links": [{"between": ["a", "r"], "delay": "2ms"}, {"between": ["r", "b"], "delay": "2ms"}],
-    "traffic": [{"from": "a", "to": "b", "topic": "t", "size": "100B", "rate": "20Hz"}],
-}
+LINE = line("flood")
 IN_RANGE = [{"between": ["a", "r"], "delay": "1ms"}, {"between": ["r", "b"], "delay": "1ms"}]
 BY_RADIO = {**LINE, "links": [], "radio": {"propagation": {"model": "table", "pairs": IN_RANGE}}}
 
@@ -33,15 +25,8 @@ def test_messages_cross_a_relay_and_the_capture_tells_all(make_lab: MakeLab) -> 
     assert stream["delivered"] == stream["sent"] == 40, result.report()
     assert stream["duplicates"] == 0
     assert stream["latency_s"]["p50"] >= 0.004  # both hops
-    with Capture.open(lab.capture) as capture:
-        packets = [record for record in capture.records({Kind.PACKET}) if isinstance(record, PacketRecord)]
-        events = [record for record in capture.records({Kind.EVENT}) if isinstance(record, JsonRecord)]
-    kinds = {(record.node, record.interface): set[bool]() for record in packets}
-    for record in packets:
-        kinds[record.node, record.interface].add(record.frame[12:14] == FLOOD_TYPE)
-    assert kinds["a", "flood0"] == {False}, "inside the mesh interface frames are plain"
-    for member in (("a", "eth0"), ("r", "eth0"), ("r", "eth1"), ("b", "eth0")):
-        assert kinds[member] == {True}, "members carry nothing but the mesh"
+    packets, events = recorded(lab)
+    check_wrapping(packets, "flood0", FLOOD_TYPE)
     assert {name for pair in result.trace.links for _, name in pair} == {"eth0", "eth1"}
     relayed = [event.payload["relayed"] for event in events if event.node == "r" and event.text("event") == "stats"]
     assert relayed, "the relay tells what it has counted"
@@ -96,10 +81,7 @@ def test_a_member_that_went_down_and_came_back_carries_again(make_lab: MakeLab, 
 
 def test_the_end_of_a_flood_is_reported(make_lab: MakeLab) -> None:
     lab = make_lab(LINE)
-    lab.begin()
-    lab.wait_until(0.5)
-    [pid] = [row["pid"] for row in lab.status()["processes"] if (row["node"], row["process"]) == ("r", "flood")]
-    assert lab.exec("r", "kill", "-9", str(pid)).returncode == 0
+    end_process(lab, "r", "flood")
     result = lab.finish()
     assert any(
         re.match(r"r: process 'flood' was ended by SIGKILL; argv: netlab-flood", text) for text in result.problems
@@ -108,9 +90,7 @@ def test_the_end_of_a_flood_is_reported(make_lab: MakeLab) -> None:
 
 
 def test_a_flood_that_was_killed_works_again_after_its_restart(make_lab: MakeLab) -> None:
-    kill = {"at": "0.5s", "kill": {"node": "r", "process": "flood"}, "restart": "500ms"}
-    traffic = [{**LINE["traffic"][0], "offline": "store"}]
-    result = make_lab({**LINE, "duration": "3s", "events": [kill], "traffic": traffic}).run()
+    result = make_lab(line_with_a_killed_relay("flood")).run()
     assert not result.problems, result.report()
     assert result.stream("t")["delivered"] == 60, result.report()
     assert 0.3 <= result.stream("t")["longest_gap_s"] < 2.0, "it was away, and came back"

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from netlab.pytest_plugin import MakeLab
+from tests.system.mesh_lines import line
 
 pytestmark = [pytest.mark.usefixtures("taps"), pytest.mark.lab_clock("virtual")]
 
@@ -61,16 +62,14 @@ def test_a_cut_counts_by_who_is_in_range(make_lab: MakeLab) -> None:
 )
 def test_a_cut_costs_little_while_another_way_is_left(make_lab: MakeLab, mesh: str, max_s: float) -> None:
     ways = [("a", "r"), ("r", "b"), ("a", "q"), ("q", "b")]
+    cuts = [("0.5s", "r"), ("1.5s", "q")]
+    of_line = line(mesh)
     diamond = {
+        **of_line,
         "duration": "2.5s",
-        "mesh": mesh,
-        "nodes": {"a": NODE, "r": {}, "q": {}, "b": NODE},
+        "nodes": {**of_line["nodes"], "q": {}},
         "links": [{"between": list(way), "delay": "2ms"} for way in ways],
-        "traffic": [{"from": "a", "to": "b", "topic": "t", "size": "100B", "rate": "20Hz"}],
-        "events": [
-            {"at": at, "outage": {"between": [relay, "b"], "for": "800ms"}}
-            for at, relay in (("0.5s", "r"), ("1.5s", "q"))
-        ],
+        "events": [{"at": at, "outage": {"between": [relay, "b"], "for": "800ms"}} for at, relay in cuts],
     }
     result = make_lab(diamond, packets=False).run()
     delays = [row["delay_s"] for row in result.summary["reroutes"]]

@@ -18,30 +18,18 @@ import pytest
 import yaml
 
 from netlab.capture import wnet
-from netlab.capture.reader import Capture
-from netlab.capture.records import JsonRecord, Kind, PacketRecord
 from netlab.capture.schemas import Direction
 from netlab.pytest_plugin import MakeLab
+from tests.system.mesh_lines import check_wrapping, end_process, line, line_with_a_killed_relay, recorded
 from wnet.core.wire import ETHERTYPE
 from wnet.io import radiotap
 
 PROGRAMS = Path(__file__).with_name("wnet_programs.py")
-LINE: dict[str, Any] = {
-    "duration": "2s",
-    "mesh": "wnet",
-    "nodes": {"a": {"processes": ["udp_mesh"]}, "r": {}, "b": {"processes": ["udp_mesh"]}},
-    "links": [{"between": ["a", "r"], "delay": "2ms"}, {"between": ["r", "b"], "delay": "2ms"}],
-    "traffic": [{"from": "a", "to": "b", "topic": "t", "size": "100B", "rate": "20Hz"}],
-}
+LINE = line("wnet")
 #: Noise is at -91 dBm: 31 dB is enough for 54 Mbit/s, 11 dB for some 12 Mbit/s.
 HEARD = [{"between": ["a", "r"], "rssi": "-60dBm"}, {"between": ["r", "b"], "rssi": "-80dBm"}]
 BY_RADIO: dict[str, Any] = {
     **LINE,
-    "nodes": {
-        "a": {"processes": ["udp_mesh"]},
-        "r": {},
-        "b": {"processes": ["udp_mesh"]},
-    },
     "links": [],
     "radio": {"phy": "802.11g-20MHz", "propagation": {"model": "table", "pairs": HEARD}},
 }
@@ -56,15 +44,8 @@ def test_messages_cross_a_relay_and_the_capture_tells_all(make_lab: MakeLab) -> 
     assert stream["delivered"] == stream["sent"] == 40, result.report()
     assert stream["duplicates"] == 0
     assert stream["latency_s"]["p50"] >= 0.004, "both hops"
-    with Capture.open(lab.capture) as capture:
-        packets = [record for record in capture.records({Kind.PACKET}) if isinstance(record, PacketRecord)]
-        events = [record for record in capture.records({Kind.EVENT}) if isinstance(record, JsonRecord)]
-    kinds = {(record.node, record.interface): set[bool]() for record in packets}
-    for record in packets:
-        kinds[record.node, record.interface].add(record.frame[12:14] == ETHERTYPE)
-    assert kinds["a", "wnet0"] == {False}, "inside the mesh interface frames are plain"
-    for member in (("a", "eth0"), ("r", "eth0"), ("r", "eth1"), ("b", "eth0")):
-        assert kinds[member] == {True}, "members carry nothing but the mesh"
+    packets, events = recorded(lab)
+    check_wrapping(packets, "wnet0", ETHERTYPE)
     told = [event for event in events if event.topic == "/r/wnet/events"]
     links = {event.payload["neighbour"] for event in told if event.text("event") == "link_up"}
     assert links == {"02:4e:4d:00:00:01", "02:4e:4d:00:00:03"}
@@ -106,8 +87,7 @@ def test_multicast_goes_where_a_listener_is(make_lab: MakeLab) -> None:
     assert listener.next_reply(timeout_s=30)["exit"] == 0, "ten came, each once"
     listener.close()
     lab.close()
-    with Capture.open(lab.capture) as capture:
-        packets = [record for record in capture.records({Kind.PACKET}) if isinstance(record, PacketRecord)]
+    packets, _ = recorded(lab)
     group = bytes.fromhex("01005e010203")
     frames = [(r, r.frame if r.interface == "wnet0" else wnet.inner_frame(r.frame, 14)) for r in packets]
     where = Counter((r.node, r.interface) for r, inner in frames if inner is not None and inner[:6] == group)
@@ -137,9 +117,7 @@ def test_the_command_tells_links_routes_and_topology(make_lab: MakeLab) -> None:
 
 
 def test_a_daemon_that_was_killed_works_again_after_its_restart(make_lab: MakeLab) -> None:
-    kill = {"at": "0.5s", "kill": {"node": "r", "process": "wnet"}, "restart": "500ms"}
-    traffic = [{**LINE["traffic"][0], "offline": "store"}]
-    result = make_lab({**LINE, "duration": "3s", "events": [kill], "traffic": traffic}, packets=False).run()
+    result = make_lab(line_with_a_killed_relay("wnet"), packets=False).run()
     assert not result.problems, result.report()
     assert result.stream("t")["delivered"] == 60, result.report()
     assert 0.3 <= result.stream("t")["longest_gap_s"] < 2.0, "it was away, and came back"
@@ -147,10 +125,7 @@ def test_a_daemon_that_was_killed_works_again_after_its_restart(make_lab: MakeLa
 
 def test_its_end_is_reported(make_lab: MakeLab) -> None:
     lab = make_lab(LINE)
-    lab.begin()
-    lab.wait_until(0.5)
-    [pid] = [row["pid"] for row in lab.status()["processes"] if (row["node"], row["process"]) == ("r", "wnet")]
-    assert lab.exec("r", "kill", "-9", str(pid)).returncode == 0
+    end_process(lab, "r", "wnet")
     result = lab.finish()
     assert any(re.match(r"r: process 'wnet' was ended by SIGKILL", text) for text in result.problems)
 
@@ -182,8 +157,7 @@ def test_by_radio_signals_and_rates_are_real(make_lab: MakeLab) -> None:
     lab = make_lab(BY_RADIO)
     result = lab.run()
     assert result.stream("t")["delivered"] == result.stream("t")["sent"] == 40, result.report()
-    with Capture.open(lab.capture) as capture:
-        packets = [record for record in capture.records({Kind.PACKET}) if isinstance(record, PacketRecord)]
+    packets, _ = recorded(lab)
     on_air = [record for record in packets if record.interface == "radio0"]
     assert {record.linktype for record in on_air} == {127}
     heard = {node: set[float | None]() for node in "arb"}
@@ -222,8 +196,7 @@ def test_forged_hellos_from_outside_the_team_are_counted_and_do_nothing(make_lab
     result = lab.run()
     storm.close()
     assert result.stream("t")["delivered"] == result.stream("t")["sent"] == 40, result.report()
-    with Capture.open(lab.capture) as capture:
-        events = [record for record in capture.records({Kind.EVENT}) if isinstance(record, JsonRecord)]
+    _, events = recorded(lab)
     told = [event.payload for event in events if event.topic == "/r/wnet/events"]
     assert {row["neighbour"][-2:] for row in told if row["event"] == "link_up"} == {"01", "03"}, "never the stranger"
     refused = {name: value for row in told if row["event"] == "stats" for name, value in row.items()}
@@ -238,6 +211,5 @@ def test_a_node_with_another_s_address_is_told_of(make_lab: MakeLab) -> None:
     lab.kill("b", "wnet")
     lab.restart("b", "wnet")
     lab.finish()
-    with Capture.open(lab.capture) as capture:
-        events = [record for record in capture.records({Kind.EVENT}) if isinstance(record, JsonRecord)]
+    _, events = recorded(lab)
     assert any(event.text("event") == "duplicate_address" for event in events if event.node in "ar")

@@ -15,6 +15,7 @@ import pytest
 
 from tests.udp_mesh.bridge_places import places_class
 from tests.udp_mesh.radio_net import radio_class
+from tests.virtual_calls import VirtualCalls
 from udp_mesh.core import events, wire
 from udp_mesh.core.mesh import Datagram, MeshCore, Path, PeerStatus, new_epoch
 from udp_mesh.core.settings import Settings
@@ -77,12 +78,12 @@ class OwnClock(MeshCore):
         return super().publish(topic, payload, now=self._own(now), **options)
 
 
-class Net:
+class Net(VirtualCalls):
     """Named cores on one carrier. Everything happens in the order of virtual time; the seed decides all chances."""
 
     def __init__(self, *, seed: int = 1, **default_link: float) -> None:
+        super().__init__(now=100.0)
         self.rng = Random(seed)
-        self.now = 100.0
         self.cores: dict[str, MeshCore] = {}
         self.events: dict[str, list[events.Event]] = {}
         self.sent: dict[str, list[tuple[float, Datagram]]] = {}
@@ -90,8 +91,6 @@ class Net:
         self.default_link = default_link
         self.keep_datagrams = False
         self._in_air: list[tuple[float, int, str, bytes, Path]] = []
-        self._calls: list[tuple[float, int, Callable[[], None]]] = []
-        self._order = 0
 
     def add(self, name: str, *, clock: tuple[float, float] = (0.0, 1.0), **settings: object) -> MeshCore:
         """Start a node, or start it again with a new epoch and nothing remembered.
@@ -125,21 +124,6 @@ class Net:
         for key, value in changes.items():
             setattr(self.links[sender, receiver], key, value)
 
-    def at(self, when_s: float, call: Callable[[], None]) -> None:
-        """Call something at a virtual time."""
-        self._order += 1
-        heapq.heappush(self._calls, (when_s, self._order, call))
-
-    def every(self, interval_s: float, call: Callable[[], None], *, until_s: float) -> None:
-        """Call something regularly from now on."""
-
-        def again() -> None:
-            call()
-            if self.now + interval_s < until_s:
-                self.at(self.now + interval_s, again)
-
-        self.at(self.now, again)
-
     def run(self, duration_s: float, *, until: Callable[[], bool] | None = None) -> bool:
         """Let time pass; with ``until``, stop when it holds and say whether it did."""
         end_s = self.now + duration_s
@@ -160,8 +144,7 @@ class Net:
 
     def _step(self) -> None:
         touched: set[str] = set()
-        while self._calls and self._calls[0][0] <= self.now:
-            heapq.heappop(self._calls)[2]()
+        if self._call_due():
             touched.update(self.cores)
         while self._in_air and self._in_air[0][0] <= self.now:
             name, data, segment_bytes, path = self._next_arrival()

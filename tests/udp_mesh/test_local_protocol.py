@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from udp_mesh import local_wire
 from udp_mesh.core.settings import Keep, Offline, Reliability, TopicPolicy
 from udp_mesh.frame_reader import FrameReader
-from udp_mesh.io.server import MAX_WAITING_BYTES, Connection, LocalServer, SocketInUse
+from udp_mesh.io.local_socket import SocketInUse
+from udp_mesh.io.server import MAX_WAITING_BYTES, Connection, LocalServer
 from udp_mesh.local_wire import FrameType, LocalProtocolError, Message, Overrides, Publish, Verdict
 
 

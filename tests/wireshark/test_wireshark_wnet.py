@@ -94,11 +94,12 @@ def row_of(tshark: Tshark, tape: Tape, body: bytes, *names: str) -> Row:
 def test_hello_has_every_field(tshark: Tshark, tape: Tape) -> None:
     names = ["hello.member", "node", "epoch", "hello.sequence", "hello.interval", "hello.digest", "hello.partial"]
     names += ["address", "group", "link.node", "link.usable", "link.mpr", "link.id", "link.snr"]
+    names += ["link.epoch", "link.peer_member", "link.own_member"]
     row = row_of(tshark, tape, HELLO, *names, "link.loss", "link.rate", "utilisation", "hello.own_utilisation")
     assert told(row, *names) == [
         ["2"], [A.hex(":")], ["0x00000055"], ["77"], ["1500"], ["0x0000abcd"], ["1"],
         ["10.0.0.1", "10.0.0.2"], [B.hex(":")], [B.hex(":"), C.hex(":")], ["1", "0"], ["0", "1"], ["3", "0"],
-        ["30", "-5"],
+        ["30", "-5"], ["0x00000066", "0x00000067"], ["1", "0"], ["2", "0"],
     ]  # fmt: skip
     sent = wire_control.decode_hello(HELLO)
     assert isinstance(sent, wire_control.Hello)
@@ -110,9 +111,12 @@ def test_hello_has_every_field(tshark: Tshark, tape: Tape) -> None:
 
 
 def test_a_tc_and_an_acknowledgement(tshark: Tshark, tape: Tape) -> None:
-    aggregate = wire.aggregate([BODIES["tc"], ACK])
+    old = data(wire.TC, wire.tail_of(0x55, 8, TC), sequence=25, listing=wire.relay_list([]))
+    aggregate = wire.aggregate([old, ACK])
     names = ["kind", "node", "epoch", "sequence", "tc.interval", "address", "group", "link.node", "link.id", "link.snr"]
-    row = row_of(tshark, tape, aggregate, *names, "ack.newest", "ack.try", "ack.sequence")
+    row = row_of(tshark, tape, aggregate, *names, "tc.age", "link_sequence", "ack.newest", "ack.try", "ack.sequence")
+    assert float(row["wnet.tc.age"][0]) == pytest.approx(25 * wire.AGE_UNIT_S)
+    assert row["wnet.link_sequence"] == [], "a TC has its age in that place"
     assert told(row, *names) == [
         ["0x19", "0x18", "0x12"], [A.hex(":")], ["0x00000055"], ["8"], ["5"], ["10.0.0.1"], [B.hex(":")],
         [B.hex(":")], ["3"], ["20"],

@@ -15,11 +15,14 @@ from random import Random
 
 import pytest
 
+from tests.virtual_calls import VirtualCalls
 from wnet.config import MeshConfig
 from wnet.core import events
 from wnet.core.mesh import Member, Mesh, Outgoing, Reception
 
 MTU = 1700
+#: At which a driver sends where it is not told a rate; receivers are told it all the same.
+DRIVER_RATE_BPS = 6_000_000
 
 
 @dataclass(slots=True)
@@ -56,13 +59,13 @@ def mac_of(number: int, member: int | None = None) -> bytes:
     return bytes((2, 0x57, 0 if member is None else 1 + member, 0, number >> 8, number & 0xFF))
 
 
-class MeshNet:
+class MeshNet(VirtualCalls):
     """Nodes by name. Everything happens in the order of virtual time; the seed decides all chances."""
 
     def __init__(self, *, seed: int = 1, **config: object) -> None:
+        super().__init__(now=100.0)
         self.seed = seed
         self.rng = Random(seed)
-        self.now = 100.0
         self.default_config = config
         self.stations: dict[str, Station] = {}
         self.paths: dict[tuple[tuple[str, int], tuple[str, int]], Path] = {}
@@ -70,8 +73,6 @@ class MeshNet:
         self._due: dict[str, float] = {}
         self._wires: dict[str, int] = {}
         self._in_air: list[tuple[float, int, str, int, bytes, Reception | None]] = []
-        self._calls: list[tuple[float, int, Callable[[], None]]] = []
-        self._order = 0
 
     # -- building ----------------------------------------------------------------------------------------------------
 
@@ -155,21 +156,6 @@ class MeshNet:
 
     # -- time --------------------------------------------------------------------------------------------------------
 
-    def at(self, when_s: float, call: Callable[[], None]) -> None:
-        """Call something at a virtual time."""
-        self._order += 1
-        heapq.heappush(self._calls, (when_s, self._order, call))
-
-    def every(self, interval_s: float, call: Callable[[], None], *, until_s: float) -> None:
-        """Call something regularly from now on."""
-
-        def again() -> None:
-            call()
-            if self.now + interval_s < until_s:
-                self.at(self.now + interval_s, again)
-
-        self.at(self.now, again)
-
     def run(self, duration_s: float, *, until: Callable[[], bool] | None = None) -> bool:
         """Let time pass; with ``until``, stop when it holds and say whether it did."""
         end_s = self.now + duration_s
@@ -193,8 +179,7 @@ class MeshNet:
 
     def _step(self) -> None:
         touched: set[str] = set()
-        while self._calls and self._calls[0][0] <= self.now:
-            heapq.heappop(self._calls)[2]()
+        self._call_due()
         while self._in_air and self._in_air[0][0] <= self.now:
             _at, _order, name, member, frame, reception = heapq.heappop(self._in_air)
             station = self.stations.get(name)
@@ -235,7 +220,7 @@ class MeshNet:
                 path.free_at_s = leaves_s = max(path.free_at_s, self.now) + airtime_s
             reception = None
             if path.snr_db is not None:
-                reception = Reception(-95.0 + path.snr_db, -95.0, outgoing.rate_bps)
+                reception = Reception(-95.0 + path.snr_db, -95.0, outgoing.rate_bps or DRIVER_RATE_BPS)
             self._order += 1
             arrival = (leaves_s + path.delay_s, self._order, *receiver, outgoing.frame, reception)
             heapq.heappush(self._in_air, arrival)

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from wnet.io.control import ControlError, ControlServer, SocketInUse, ask
+from udp_mesh.io.local_socket import SocketInUse
+from wnet.io.control import ControlError, ControlServer, ask
 
 
 @contextlib.contextmanager

@@ -1,52 +1,26 @@
-"""Writes events as JSON lines to a descriptor, never waiting for its reader."""
+"""Events as JSON lines."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import re
 import time
 
 from udp_mesh.core.events import Event, MessageDelivered
+from udp_mesh.io.line_feed import LineFeed
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
 _HIDDEN = ("now", "payload", "flags", "token")
-_MAX_WAITING_BYTES = 1024 * 1024
 
 
-class EventFeed:
-    """Buffered per loop turn. What the reader is too slow for is dropped in whole lines and counted."""
-
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
-        self._waiting = bytearray()
-        self._lost = 0
-        os.set_blocking(fd, False)
+class EventFeed(LineFeed):
+    """The lines of a node's events."""
 
     def add(self, event: Event) -> None:
         """Queue an event."""
-        if len(self._waiting) > _MAX_WAITING_BYTES:
-            self._lost += 1
-            return
-        if self._lost:
-            lost = {"t_ns": time.time_ns(), "event": "events_lost", "count": self._lost}
-            self._waiting += json.dumps(lost).encode() + b"\n"
-            self._lost = 0
-        self._waiting += encode_event(event, offset_ns=time.time_ns() - time.monotonic_ns())
-
-    def flush(self) -> None:
-        """Write what the reader takes now; the rest waits for the next call."""
-        if not self._waiting:
-            return
-        try:
-            written = os.write(self._fd, self._waiting)
-        except BlockingIOError:
-            return
-        except OSError:  # nobody reads any more
-            self._waiting.clear()
-            return
-        del self._waiting[:written]
+        if self.has_room():
+            self.add_line(encode_event(event, offset_ns=time.time_ns() - time.monotonic_ns()))
 
 
 def encode_event(event: Event, *, offset_ns: int) -> bytes:

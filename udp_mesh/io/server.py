@@ -5,24 +5,20 @@ from __future__ import annotations
 import contextlib
 import itertools
 import socket
-import stat
 from collections import deque
 from pathlib import Path
 
 from udp_mesh import local_wire
 from udp_mesh.frame_reader import FrameReader
+from udp_mesh.io.local_socket import listen
 from udp_mesh.local_wire import FrameType, LocalProtocolError, Publish
 
 MAX_CONNECTIONS = 256
 MAX_WAITING_BYTES = 32 * 1024 * 1024  # a fast path fills it in a fifth of a second
 ALL_TOPICS = "*"
 _BATCH = 16
-_SOCKET_MODE = 0o600
+_BACKLOG = 64
 _NUMBERS = itertools.count(1)
-
-
-class SocketInUse(Exception):
-    """Another daemon serves this path, or it cannot be created."""
 
 
 class _Output:
@@ -162,32 +158,8 @@ class LocalServer:
             SocketInUse: Another daemon answers there, or the path cannot be bound.
         """
         self.path = path
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
+        self.socket = listen(path, backlog=_BACKLOG)
         self.connections: list[Connection] = []
-        try:
-            self._remove_stale()
-            self.socket.bind(path)
-            Path(path).chmod(_SOCKET_MODE)
-            self.socket.listen(64)
-        except OSError as error:
-            self.socket.close()
-            raise SocketInUse(f"{path}: cannot listen here: {error.strerror or error}") from error
-        except SocketInUse:
-            self.socket.close()
-            raise
-
-    def _remove_stale(self) -> None:
-        """Remove the socket of a daemon that was killed; nobody answers there."""
-        path = Path(self.path)
-        if not path.exists() or not stat.S_ISSOCK(path.stat().st_mode):
-            return
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-            try:
-                probe.connect(self.path)
-            except OSError:
-                path.unlink()
-                return
-        raise SocketInUse(f"{self.path}: another daemon serves this socket; choose another with socket = ...")
 
     def fileno(self) -> int:
         """The listening socket's descriptor."""

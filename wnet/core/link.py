@@ -140,7 +140,10 @@ class Link:
             noise = noise_dbm if reception.noise_dbm is None else reception.noise_dbm
             snr_db = reception.signal_dbm - noise
             self.snr_db = snr_db if self.snr_db is None else self.snr_db + (snr_db - self.snr_db) / 4.0
-        if reception.rate_bps:
+
+    def note_rate(self, reception: Reception | None) -> None:
+        """Note the rate of a frame that was for this node alone: the neighbour chose it for this link."""
+        if reception is not None and reception.rate_bps:
             self.rate_bps = reception.rate_bps
 
     def note_traffic(self, *, now: float) -> None:

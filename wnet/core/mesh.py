@@ -25,7 +25,7 @@ from wnet.core.receiver import Receiver
 from wnet.core.retries import Retries
 from wnet.core.routes import Routes
 from wnet.core.seal import Seal
-from wnet.core.snapshot import Snapshot
+from wnet.core.snapshot import LinkState, Snapshot
 from wnet.core.topology import TopologyGraph
 from wnet.core.transmissions import Entry, Packet, Transmission
 from wnet.core.wire_control import NodeInfo
@@ -239,6 +239,10 @@ class Mesh:
             counts=self.counts,
             now=now,
         )
+
+    def links(self, *, now: float) -> tuple[LinkState, ...]:
+        """Return the links of this node, as in :meth:`snapshot`."""
+        return reports.links(self._graph, self._neighbours, self._floods.mprs, now=now)
 
     def count(self, what: Count | Drop) -> None:
         """Count what only the edge can see."""

@@ -18,6 +18,9 @@ from wnet.core.retries import Retries
 from wnet.core.seal import Seal
 from wnet.core.topology import TopologyGraph
 
+#: What a node sends to one neighbour alone, at the rate that this link carries; all else may be at the slowest.
+_AT_LINK_RATE = frozenset({wire.PROBE, wire.UNICAST, wire.ROUTED})
+
 
 class Receiver:
     """What one node makes of the frames that it receives."""
@@ -111,6 +114,8 @@ class Receiver:
             self._journal.count(data)
             return
         link.hear(reception, self._noise_dbm, now=now)
+        if data.kind in _AT_LINK_RATE:
+            link.note_rate(reception)
         own_mac = self._members[link.member].mac
         place, sequence = 0, data.sequence
         if data.hops or data.kind in (wire.FLOOD, wire.TC, wire.MULTICAST):

@@ -36,9 +36,13 @@ def snapshot(
         )
         for node in graph.nodes.values()
     )
-    links = tuple(_link(graph, link, link.neighbour in mprs, now) for link in neighbours)
-    own = graph.own
-    return Snapshot(now, own.mac, own.epoch, links, nodes, _edges(graph, now), found, groups, queued, counts)
+    own, told = graph.own, links(graph, neighbours, mprs, now=now)
+    return Snapshot(now, own.mac, own.epoch, told, nodes, _edges(graph, now), found, groups, queued, counts)
+
+
+def links(graph: TopologyGraph, neighbours: Neighbours, mprs: frozenset[bytes], *, now: float) -> tuple[LinkState, ...]:
+    """Return the links of this node alone, which costs no search for paths."""
+    return tuple(_link(graph, link, link.neighbour in mprs, now) for link in neighbours)
 
 
 def _link(graph: TopologyGraph, link: Link, is_mpr: bool, now: float) -> LinkState:
@@ -57,7 +61,7 @@ def _link(graph: TopologyGraph, link: Link, is_mpr: bool, now: float) -> LinkSta
         snr_out_db=None if told is None else told.snr_db,
         srtt_s=link.timer.srtt_s,
         quality=0.0 if told is None else graph.quality(graph.own.mac, link.neighbour, told),
-        cost_out=graph.cost(graph.own.mac, link.neighbour) or float("inf"),
+        cost_out=graph.cost(graph.own.mac, link.neighbour),
         rate_bps=None if told is None else told.rate_bps,
         in_flight=len(link.pending),
     )

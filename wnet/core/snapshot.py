@@ -10,7 +10,7 @@ from dataclasses import dataclass
 class LinkState:
     """A link to a neighbour. ``in`` is towards this node, ``out`` away from it; None is unknown.
 
-    ``is_usable``: both directions work. ``cost_out`` is what the routing reckons with.
+    ``is_usable``: both directions work. ``cost_out`` is what the routing reckons with, None while it does not use it.
     """
 
     neighbour: bytes
@@ -28,7 +28,7 @@ class LinkState:
     snr_out_db: float | None
     srtt_s: float | None
     quality: float
-    cost_out: float
+    cost_out: float | None
     rate_bps: int | None
     in_flight: int
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import socket
-import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-_MODE = 0o600
+from udp_mesh.io.local_socket import default_path, listen
+
 _QUESTION_BYTES_MAX = 64
 _ANSWER_WAIT_S = 5.0
 _BACKLOG = 128
@@ -24,23 +23,13 @@ _ASKING_MAX = 16
 QUESTIONS = ("topology", "links", "routes", "stats")
 
 
-class SocketInUse(Exception):
-    """Another daemon answers there, or the socket cannot be made."""
-
-
 class ControlError(Exception):
     """No daemon, or it did not answer."""
 
 
 def default_socket() -> str:
     """Return $WNET_SOCKET, or /run/wnet.sock where that can be written, or one in the user's runtime folder."""
-    chosen = os.environ.get("WNET_SOCKET")
-    if chosen:
-        return chosen
-    user = os.environ.get("XDG_RUNTIME_DIR")
-    if Path("/run/wnet.sock").exists() or os.access("/run", os.W_OK) or not user:
-        return "/run/wnet.sock"
-    return f"{user}/wnet.sock"
+    return default_path("wnet")
 
 
 class ControlServer:
@@ -55,16 +44,7 @@ class ControlServer:
         self._path = path
         self._answer = answer
         self.asking: list[socket.socket] = []
-        _remove_stale(path)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
-        try:
-            self._socket.bind(path)
-            Path(path).chmod(_MODE)
-            self._socket.listen(_BACKLOG)
-        except OSError as error:
-            self._socket.close()
-            raise SocketInUse(f"cannot serve {path}: {error.strerror}") from error
-        self._socket.setblocking(False)
+        self._socket = listen(path, backlog=_BACKLOG)
 
     def fileno(self) -> int:
         """Readable when somebody connects."""
@@ -125,17 +105,3 @@ def ask(path: str, word: str, *, timeout_s: float = _ANSWER_WAIT_S) -> dict[str,
     if not isinstance(answer, dict) or "error" in answer:
         raise ControlError(str(answer.get("error", answer) if isinstance(answer, dict) else answer))
     return answer
-
-
-def _remove_stale(path: str) -> None:
-    """Remove the socket of a daemon that was killed."""
-    with contextlib.suppress(FileNotFoundError):
-        if not stat.S_ISSOCK(Path(path).stat().st_mode):
-            raise SocketInUse(f"{path} is there and no socket; choose another path")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-            try:
-                probe.connect(path)
-            except OSError:
-                Path(path).unlink()
-                return
-        raise SocketInUse(f"another daemon serves {path}; end it or choose another path")

@@ -1,29 +1,29 @@
-"""Writes events and counters as JSON lines to a descriptor, never waiting for its reader."""
+"""Events, links and counters as JSON lines."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from udp_mesh.io.feed import event_name
+from udp_mesh.io.line_feed import LineFeed
 from wnet.core.events import Event
+from wnet.core.snapshot import LinkState
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
-_WAITING_BYTES_MAX = 1 << 20
 
 
-class EventFeed:
-    """Buffered per loop turn. What the reader is too slow for is dropped in whole lines and counted."""
+class EventFeed(LineFeed):
+    """The lines of a node."""
 
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
-        self._waiting = bytearray()
-        self._lost = 0
+    def __init__(self, descriptor: int, mac: bytes) -> None:
+        """``mac`` is the node's own name."""
+        super().__init__(descriptor)
+        self._mac = mac.hex(":")
         self._counts: dict[str, int] = {}
-        os.set_blocking(fd, False)
+        self._links: list[dict[str, object]] = []
 
     def add(self, event: Event) -> None:
         """Queue an event."""
@@ -39,27 +39,31 @@ class EventFeed:
             self._counts = told
             self._line({"t_ns": time.time_ns(), "event": "stats", **told})
 
-    def flush(self) -> None:
-        """Write what the reader takes now; the rest waits for the next call."""
-        if not self._waiting:
-            return
-        try:
-            del self._waiting[: os.write(self._fd, self._waiting)]
-        except BlockingIOError:
-            return
-        except OSError:  # nobody reads any more
-            self._waiting.clear()
+    def links(self, links: Sequence[LinkState]) -> None:
+        """Queue the links that are usable, as frames leave over them, where anything about them has changed."""
+        told = [_link(link) for link in links if link.is_usable]
+        if told != self._links:
+            self._links = told
+            self._line({"t_ns": time.time_ns(), "event": "links", "mac": self._mac, "links": told})
 
     def _line(self, values: Mapping[str, object]) -> None:
-        if len(self._waiting) > _WAITING_BYTES_MAX:
-            self._lost += 1
-            return
-        if self._lost:
-            lost, self._lost = self._lost, 0
-            self._line({"t_ns": time.time_ns(), "event": "events_lost", "count": lost})
-        self._waiting += _ENCODER.encode(values).encode() + b"\n"
+        if self.has_room():
+            self.add_line(_ENCODER.encode(values).encode() + b"\n")
 
 
 def _plain(value: object) -> object:
     """MAC addresses as people write them."""
     return value.hex(":") if isinstance(value, bytes) else value
+
+
+def _link(link: LinkState) -> dict[str, object]:
+    """What the routing knows of a link: no figure that changes with every frame."""
+    return {
+        "neighbour": link.neighbour.hex(":"),
+        "member": link.member,
+        "quality": round(link.quality, 3),
+        "cost": None if link.cost_out is None else round(link.cost_out, 3),
+        "loss_ratio": None if link.loss_out_ratio is None else round(link.loss_out_ratio, 3),
+        "snr_db": None if link.snr_out_db is None else round(link.snr_out_db, 1),
+        "rate_bps": link.rate_bps,
+    }

@@ -151,7 +151,8 @@ class Node:
         return any(left <= 0 < port.room(now=now) for left, port in zip(room, ports, strict=True))
 
     def _report(self, now: float) -> None:
-        """Once a second: the interface's addresses may have changed, and counters have."""
+        """Once a second: the interface's addresses may have changed, links too, and counters have."""
         self._mesh.set_addresses(addresses_of(self._ifname), now=now)
         if self._feed is not None:
+            self._feed.links(self._mesh.links(now=now))
             self._feed.stats(self._mesh.counts)

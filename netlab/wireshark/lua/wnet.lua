@@ -42,11 +42,15 @@ local f = {
     hello_sequence = field("uint16", "hello.sequence", "HELLO sequence number"),
     interval_ms = field("uint16", "hello.interval", "HELLO interval", base.UNIT_STRING, { " ms" }),
     interval_s = field("uint8", "tc.interval", "TC interval", base.UNIT_STRING, { " s" }),
+    age = field("double", "tc.age", "Age", { " s" }),
     digest = field("uint32", "hello.digest", "Digest of all TCs", base.HEX),
     partial = field("bool", "hello.partial", "Leaves links out", 8, nil, 0x01),
     address = field("ipv4", "address", "Address"),
     group = field("ether", "group", "Multicast group"),
     neighbour = field("ether", "link.node", "Neighbour"),
+    neighbour_epoch = field("uint32", "link.epoch", "Neighbour's epoch", base.HEX),
+    peer_member = field("uint8", "link.peer_member", "Member of the neighbour", base.DEC, nil, 0xF0),
+    own_member = field("uint8", "link.own_member", "Member of the sender", base.DEC, nil, 0x0F),
     usable = field("bool", "link.usable", "Usable", 8, nil, 0x80),
     mpr = field("bool", "link.mpr", "Multipoint relay", 8, nil, 0x40),
     link_id = field("uint8", "link.id", "Link id"),
@@ -170,6 +174,9 @@ show[wire.HELLO] = function(body, tvb, tree)
     for position = 0, body.info.links - 1 do
         local range = tvb(body.info.links_at + wire.HEARD_BYTES * position, wire.HEARD_BYTES)
         local item = tree:add(f.neighbour, range(0, 6))
+        item:add(f.neighbour_epoch, range(6, 4))
+        item:add(f.peer_member, range(10, 1))
+        item:add(f.own_member, range(10, 1))
         item:add(f.usable, range(11, 1))
         item:add(f.mpr, range(11, 1))
         item:add(f.link_id, range(11, 1), range(11, 1):uint() % 16)
@@ -242,7 +249,11 @@ local function show_data(body, tvb, tree, pinfo, root)
     tree:add(f.urgency, tvb(3, 1))
     tree:add(f.check, tvb(4, 2))
     tree:add(f.length, tvb(6, 2))
-    tree:add(f.link_sequence, tvb(8, 2))
+    if body.kind == wire.TC then
+        tree:add(f.age, tvb(8, 2), tvb(8, 2):uint() * wire.AGE_UNIT_S)
+    else
+        tree:add(f.link_sequence, tvb(8, 2))
+    end
     if body.attempt > 0 then
         generated(tree, f.retransmission, true)
         attempt:add_proto_expert_info(wnet.experts.retry)

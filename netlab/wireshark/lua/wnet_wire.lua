@@ -18,6 +18,7 @@ wire.HEAD_BYTES = 10
 wire.ORIGIN_BYTES = 8
 wire.SEAL_BYTES = 14 -- before the encrypted body
 wire.TAG_BYTES = 16
+wire.AGE_UNIT_S = 0.1 -- in which a TC tells its age, in the place of the link sequence
 
 local ETHERNET_BYTES, KEY_BYTES, MAX_LISTED = 14, 20, 16
 local HELLO_BYTES, TC_BYTES, ACK_BYTES, MAC_BYTES = 25, 16, 10, 6
