@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from netlab.capture.records import Record
 from netlab.cli.terminal import exec_with_terminal
 from netlab.errors import NetlabError
+from netlab.lab.commands import exec_request
 from netlab.lab.facade import Lab
 from netlab.live.feed import Feed
 
@@ -118,8 +119,7 @@ class LabSession:
         """A shell in a node, on this terminal; returns at its end."""
         env = {key: os.environ[key] for key in ("TERM", "LANG", "COLORTERM", "LC_ALL") if key in os.environ}
         argv = [os.environ.get("SHELL") or "/bin/sh"]
-        request = {"do": "exec", "node": node, "argv": argv, "env": env, "cwd": str(Path.cwd())}
-        exec_with_terminal(self.lab.connect(), request)
+        exec_with_terminal(self.lab.connect(), exec_request(node, argv, env))
 
     def report(self) -> str:
         """The verdict, once the scenario has come to its end."""
