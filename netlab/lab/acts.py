@@ -196,8 +196,9 @@ class Acts:
     # -- the timeline and the recording ---------------------------------------------------------------------------
 
     async def _do_mark(self, request: Act) -> None:
+        """Mark now, or the moment ``ago_s`` before: it takes a person a while to say what it was."""
         text = str(request["text"]).strip()[:200] or "mark"
-        self._record(Kind.MARK, text, {"do": "mark", "text": text})
+        self._record(Kind.MARK, text, {"do": "mark", "text": text}, ago_s=max(0.0, float(request.get("ago_s", 0.0))))
 
     async def _do_hold(self, _request: Act) -> None:
         self._run.hold()
@@ -234,9 +235,13 @@ class Acts:
         """Which of the two is meant, where a wire and a radio join two nodes."""
         return {"over": kind.value} if len(self._parts.scenario.joined(a, b)) > 1 else {}
 
-    def _record(self, kind: str, label: str, act: Act, *, restores: tuple[str, str] | None = None) -> None:
-        recording = self._parts.recording
-        recording.timeline(kind, label, at_s=self._run.t_s, restores=list(restores) if restores else None, act=act)
+    def _record(
+        self, kind: str, label: str, act: Act, *, restores: tuple[str, str] | None = None, ago_s: float = 0.0
+    ) -> None:
+        recording, t_s = self._parts.recording, self._run.t_s
+        at_s = None if t_s is None else t_s - ago_s
+        both = list(restores) if restores else None
+        recording.timeline(kind, label, at_s=at_s, ago_s=ago_s, restores=both, act=act)
         if act["do"] in ("outage", "carrier", "link"):
             recording.links(self._parts.links.describe())
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from rich.text import Text
@@ -13,43 +12,10 @@ from netlab.live.links import Direction, Link
 from netlab.live.model import LiveModel, Node
 from netlab.live.windows import LatencyWindow, sparkline
 from netlab.tui import palette
+from netlab.tui.standing import Standing
 from netlab.tui.tour import STEPS
 
 _STATES = {"ready": "#35c48d", "starting": "#e5c453", "exited": "#e0485f"}
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """What the lab's supervisor says of itself, beside the records: processes, coming events, the recording."""
-
-    phase: str = "starting"
-    t_s: float | None = None
-    end_s: float = 0.0
-    held: bool = False
-    recording: str | None = None
-    undo: str | None = None
-    processes: tuple[Mapping[str, Any], ...] = ()
-    coming: tuple[Mapping[str, Any], ...] = ()
-    troubles: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, status: Mapping[str, Any]) -> Standing:
-        """From a status of the lab."""
-        return cls(
-            phase=str(status["phase"]),
-            t_s=status["t_s"],
-            end_s=float(status["end_s"]),
-            held=bool(status["held"]),
-            recording=status["recording"],
-            undo=status["undo"],
-            processes=tuple(status["processes"]),
-            coming=tuple(status["coming"]),
-            troubles=(*status["failures"], *status["problems"], *status["notices"]),
-        )
-
-    def processes_of(self, node: str) -> list[Mapping[str, Any]]:
-        """The processes of a node."""
-        return [process for process in self.processes if process["node"] == node]
 
 
 def head_text(model: LiveModel, standing: Standing, width: int) -> Text:

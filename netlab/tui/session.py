@@ -136,8 +136,3 @@ class LabSession:
         if self._feed is not None:
             self._feed.close()
         self.lab.close()
-
-
-def short(path: Path) -> str:
-    """A path as a person would write it here: relative where that is possible."""
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
