@@ -96,8 +96,8 @@ class LabApp(App[NetlabError | None]):
 
     def farewell(self) -> str:
         """What stays when the screen is gone."""
-        screens = [screen for screen in self._seen if screen.verdict]
-        verdict = f"{screens[-1].verdict}\n\n" if screens else ""
+        verdicts = [screen.verdict.report for screen in self._seen if screen.verdict is not None]
+        verdict = f"{verdicts[-1]}\n\n" if verdicts else ""
         files = self.session.files if self.session is not None else ()
         return verdict + "\n".join(f"{kind}: {short(file)}" for kind, file in files)
 

@@ -39,6 +39,10 @@ def _writings(scene: Scene, columns: int, rows: int, relays: Collection[str]) ->
     """Texts by the cell where they begin; a later one is written over an earlier one."""
     cells = scene.cells(scene.dots.keys())
     taken = set(cells.values())
+    if scene.is_to_scale:
+        bar = _scale_bar(DOTS_X / scene.projection.dots_per_m)
+        taken.update((1 + offset, rows - 1) for offset in range(len(bar)))
+        yield (1, rows - 1), bar, _SCALE
     for tunnel in scene.tunnels:
         yield from _tunnel_name(scene, tunnel, taken)
     for name in sorted(cells, key=lambda name: (name == scene.chosen, name in scene.active)):
@@ -50,8 +54,6 @@ def _writings(scene: Scene, columns: int, rows: int, relays: Collection[str]) ->
         column, row = _free_start(cells[name], len(text), taken, columns, rows)
         taken.update((column + offset, row) for offset in range(len(text)))
         yield (column, row), text, style
-    if scene.is_to_scale:
-        yield (1, rows - 1), _scale_bar(DOTS_X / scene.projection.dots_per_m), _SCALE
     if scene.target_m is not None:
         yield scene.projection.cell(scene.target_m), "✚", _TARGET
 

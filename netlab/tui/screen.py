@@ -138,7 +138,7 @@ class MainScreen(WatchScreen):
         name = self._chosen_node()
         if name is not None:
             self._aim(places(self.model)[name])
-            self._say(f"Move {name}: arrows or a click; Enter puts it there, g sends it walking, Esc leaves it.")
+            self._say(f"Move {name}: arrows or a click; Enter: put it there, g: send it, Esc: leave it")
 
     def action_enter(self) -> None:
         """Put the node there at once; elsewhere, the tour's next step."""
@@ -232,8 +232,8 @@ class MainScreen(WatchScreen):
         field = Field("text", "what is it?", f"mark {at_s:.0f} s")
         answer = await self.app.push_screen_wait(Form("Mark this moment", [field]))
         if answer is not None:
-            ago_s = time.monotonic() - pressed_s
-            self._act(f"Marked: {answer['text']}", Deed.MARK, "mark", text=answer["text"], ago_s=ago_s)
+            text, ago_s = answer["text"] or field.value, time.monotonic() - pressed_s
+            self._act(f"Marked: {text}", Deed.MARK, "mark", text=text, ago_s=ago_s)
 
     def action_record(self) -> None:
         """End the recording, or begin another one."""
@@ -250,17 +250,16 @@ class MainScreen(WatchScreen):
     @work
     async def action_save(self) -> None:
         """Ask for a file, and save what was done as a scenario."""
-        proposed = unused(self._captures, f"{self.session.title}-replay", ".yaml")
-        answer = await self.app.push_screen_wait(
-            Form("Save all that was done as a scenario", [Field("file", "file", short(proposed))])
-        )
+        field = Field("file", "file", short(unused(self._captures, f"{self.session.title}-replay", ".yaml")))
+        answer = await self.app.push_screen_wait(Form("Save all that was done as a scenario", [field]))
         if answer is None:
             return
-        file = Path(answer["file"])
+        name = answer["file"] or field.value
+        file = Path(name).expanduser()
         try:
             left_out = await asyncio.to_thread(self.session.save, file.resolve())
         except NetlabError as error:
             self._say(str(error), bad=True)
             return
-        self._say(f"Saved: netlab run {answer['file']}" + "".join(f"  (left out: {text})" for text in left_out))
+        self._say(f"Saved: netlab run {name}" + "".join(f"  (left out: {text})" for text in left_out))
         self._saw(Deed.SAVE)

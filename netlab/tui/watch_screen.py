@@ -19,7 +19,7 @@ from netlab.tui.key_bar import KeyBar
 from netlab.tui.map_view import MapView
 from netlab.tui.projection import Point
 from netlab.tui.scene import Chosen
-from netlab.tui.session import Session
+from netlab.tui.session import Session, Verdict
 from netlab.tui.standing import Standing
 from netlab.tui.tour import Deed, Tour
 
@@ -35,7 +35,7 @@ class WatchScreen(Screen[None]):
     Attributes:
         model: The lab as its records show it.
         standing: The lab as its supervisor describes it.
-        verdict: The report, once the scenario is over.
+        verdict: How the run went, once it is over.
         tour: Where the person is in the tour, None outside it.
     """
 
@@ -45,7 +45,7 @@ class WatchScreen(Screen[None]):
         self.session = session
         self.model = LiveModel()
         self.standing = Standing()
-        self.verdict = ""
+        self.verdict: Verdict | None = None
         self.tour: Tour | None = None
         self._rate_hz = rate_hz
 
@@ -67,6 +67,7 @@ class WatchScreen(Screen[None]):
         self.map.focus()
         for name, title in _TITLES.items():
             self.query_one(f"#{name}").border_title = title
+        self.query_one("#tour").border_subtitle = "Enter skips, ? leaves the tour"
         self.map.border_subtitle = "  ".join(f"[{palette.GRADES[g]}]{palette.SIGNS[g]}[/] {g}" for g in _LEGEND)
         self.set_interval(1 / self._rate_hz, self._look)
         self.set_interval(_PANELS_EVERY_S, self._draw_panels)
@@ -103,25 +104,26 @@ class WatchScreen(Screen[None]):
             case "streams":
                 return panels.streams_text(self.model, width=width, lines=lines)
             case "timeline":
-                return panels.timeline_text(self.model, self.standing, lines=lines)
-        title, text = self._detail(lines)
+                return panels.timeline_text(self.model, self.standing, width=width, lines=lines)
+        title, text = self._detail(width, lines)
         self.query_one(f"#{name}").border_title = title
         return text
 
-    def _detail(self, lines: int) -> tuple[str, Text]:
+    def _detail(self, width: int, lines: int) -> tuple[str, Text]:
         """What is told of the chosen one, or of the whole lab: (title, text)."""
         chosen = self.map.chosen
         if isinstance(chosen, frozenset) and chosen in self.model.links:
             return "link", panels.link_text(self.model.links[chosen])
         if isinstance(chosen, str) and chosen in self.model.nodes:
-            return "node", panels.node_text(self.model.nodes[chosen], self.standing, lines=lines)
-        if self.verdict:
-            return "result", Text(self.verdict)
-        return "team", panels.overview_text(self.model, self.standing)
+            return "node", panels.node_text(self.model.nodes[chosen], self.standing, width=width, lines=lines)
+        if self.verdict is not None:
+            return "result", panels.verdict_text(self.verdict.brief, width=width)
+        return "team", panels.overview_text(self.model, self.standing, width=width)
 
     def _say(self, text: str, *, bad: bool = False) -> None:
         first = text.splitlines()[0] if text else ""
-        self._draw("said", Text(f" {first}", style=palette.WARNING if bad else palette.TEXT))
+        said = Text(first, style=palette.WARNING if bad else palette.TEXT)
+        self.query_one("#said", Static).update(said)  # a long text takes a second line
 
     @work(exclusive=True, group="status")
     async def _watch_status(self) -> None:
@@ -134,10 +136,10 @@ class WatchScreen(Screen[None]):
             if self.standing.phase == "finished":
                 break
             await asyncio.sleep(_STATUS_EVERY_S)
-        self.verdict = await asyncio.to_thread(self.session.report)
+        self.verdict = await asyncio.to_thread(self.session.judge)
         self._aim(None)
         self._choose(None)
-        self._say("The scenario is over; its result is on the right. q quits.")
+        self._say("The scenario is over; its result is on the right. q quits and prints the whole report.")
 
     # -- choosing -------------------------------------------------------------------------------------------------
 
@@ -205,12 +207,9 @@ class WatchScreen(Screen[None]):
             self._draw_tour()
 
     def _draw_tour(self) -> None:
-        panel = self.query_one("#tour", Static)
         step = self.tour.step if self.tour is not None else None
-        if step is None:
+        self.set_class(step is not None, "touring")
+        if self.tour is None or step is None:
             self.tour = None
-            panel.display = False
             return
-        panel.display = True
-        assert self.tour is not None
-        panel.update(panels.tour_text(step.title, step.text, self.tour.place))
+        self.query_one("#tour", Static).update(panels.tour_text(step.title, step.text, self.tour.place))

@@ -186,9 +186,15 @@ def test_the_verdict_comes_at_the_end() -> None:
     async def script(pilot: Pilot[Any], session: FakeSession, screen: MainScreen) -> None:
         session.phase = "finished"
         await until(pilot, lambda: screen.verdict)
-        await until(pilot, lambda: "met  everything" in str(screen.query_one("#detail", Static).render()))
+        detail = screen.query_one("#detail", Static)
+        await until(pilot, lambda: "everything" in str(detail.render()))
         await pilot.pause(1.1)  # the panels are drawn again every second
-        assert screen.query_one("#detail").border_title == "result"
+        assert detail.border_title == "result"
+        told = str(detail.render())
+        assert "a bit more" in " ".join(told.split())  # nothing is cut off
+        assert max(map(len, told.splitlines())) <= detail.content_size.width
+        assert isinstance(pilot.app, LabApp)
+        assert pilot.app.farewell() == "the whole report\n\n"
 
     walk(script)
 
