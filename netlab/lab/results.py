@@ -135,7 +135,24 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
     problems = [text for text in (*final["problems"], *final["notices"]) if text not in failures]
     drops = recorder.get("kernel_drops", {})
     problems += [f"{node}: {count} packets are missing from the capture" for node, count in drops.items() if count]
-    shown = {
+    return RunResult(
+        _summary(scenario, final, trace, expectations, str(capture) if kept else None),
+        trace,
+        expectations,
+        tuple(dict.fromkeys(problems)),
+        tuple(dict.fromkeys(failures)),
+        final["worst_stall_s"],
+    )
+
+
+def _summary(
+    scenario: Scenario,
+    final: dict[str, Any],
+    trace: Trace,
+    expectations: Sequence[ExpectationResult],
+    capture: str | None,
+) -> dict[str, Any]:
+    return {
         "scenario": scenario.name,
         "engine": final["engine"],
         "clock": clock_here(),
@@ -149,16 +166,8 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
             {"name": result.name, "passed": result.passed, "measured": result.measured, "limit": result.limit}
             for result in expectations
         ],
-        "capture": str(capture) if kept else None,
+        "capture": capture,
     }
-    return RunResult(
-        shown,
-        trace,
-        expectations,
-        tuple(dict.fromkeys(problems)),
-        tuple(dict.fromkeys(failures)),
-        final["worst_stall_s"],
-    )
 
 
 def _process(row: dict[str, Any]) -> dict[str, Any]:

@@ -61,8 +61,7 @@ def overview_text(model: LiveModel, standing: Standing, *, width: int) -> Text:
     if standing.troubles:
         _section(text, "troubles")
         for trouble in standing.troubles[-5:]:
-            for line in wrapped(trouble.splitlines()[0], width, indent=1):
-                text.append(f"{line}\n", style=palette.WARNING)
+            _sentence(text, trouble.splitlines()[0], width, palette.WARNING)
     text.append("\n → a node, ↓ a link, ? the tour\n", style=palette.DIM)
     return text
 
@@ -95,7 +94,7 @@ def node_text(node: Node, standing: Standing, *, width: int, lines: int) -> Text
     text.append("\n")
     _processes(text, standing.processes_of(node.name))
     _peers(text, node, width)
-    _queues(text, node)
+    _queues(text, node, width)
     used = len(text.plain.splitlines())
     _section(text, "log")
     for at_s, process, level, message in list(node.log)[-max(2, lines - used - 2) :]:
@@ -204,6 +203,12 @@ def _section(text: Text, name: str) -> None:
     text.append(f" {name}\n", style=f"{palette.ACCENT}")
 
 
+def _sentence(text: Text, sentence: str, width: int, style: str) -> None:
+    """In as many lines as it takes."""
+    for line in wrapped(sentence, width, indent=1):
+        text.append(f"{line}\n", style=style)
+
+
 def _processes(text: Text, processes: list[Mapping[str, Any]]) -> None:
     for process in processes:
         state = str(process["state"])
@@ -229,7 +234,7 @@ def _peers(text: Text, node: Node, width: int) -> None:
         text.append(f"   and {len(node.peers) - 8} more\n", style=palette.DIM)
 
 
-def _queues(text: Text, node: Node) -> None:
+def _queues(text: Text, node: Node, width: int) -> None:
     _section(text, "queues")
     queues = node.queues.by_priority()
     most = max((waiting.size_bytes for waiting in queues.values()), default=1) or 1
@@ -244,11 +249,13 @@ def _queues(text: Text, node: Node) -> None:
     if offline.messages or stored:
         kept = sum(waiting.messages for waiting in stored.values())
         stored_bytes = sum(waiting.size_bytes for waiting in stored.values())
-        text.append(f" for peers away: {offline.messages} in memory, {kept} stored", style="#e5c453")
-        text.append(f" ({size(offline.size_bytes + stored_bytes)})\n", style=palette.DIM)
+        away = (
+            f"for peers away: {offline.messages} in memory, {kept} stored ({size(offline.size_bytes + stored_bytes)})"
+        )
+        _sentence(text, away, width, "#e5c453")
     if node.queues.dropped:
         told = ", ".join(f"{reason} {count}" for reason, count in sorted(node.queues.dropped.items()))
-        text.append(f" dropped: {told}\n", style=palette.WARNING)
+        _sentence(text, f"dropped: {told}", width, palette.WARNING)
     if node.retransmissions:
         text.append(f" {counted(node.retransmissions, 'fragment')} sent again\n", style=palette.DIM)
 

@@ -139,7 +139,7 @@ class WatchScreen(Screen[None]):
         self.verdict = await asyncio.to_thread(self.session.judge)
         self._aim(None)
         self._choose(None)
-        self._say("The scenario is over; its result is on the right. q quits and prints the whole report.")
+        self._say("The scenario is over; its result is on the right. q prints the report.")
 
     # -- choosing -------------------------------------------------------------------------------------------------
 

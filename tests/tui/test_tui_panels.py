@@ -56,6 +56,15 @@ def test_a_node_in_a_narrow_panel() -> None:
     assert " 1 fragment sent again" in found
 
 
+def test_what_was_dropped_and_what_waits_for_others_is_told_whole() -> None:
+    node = model().nodes["base"]
+    for number, event in enumerate(("message_queued", "message_stored")):
+        node.queues.take({"event": event, "peer": "far", "message_id": 1, "sequence": 1, "size_bytes": 100})
+        node.queues.take({"event": "message_dropped", "reason": f"a_reason_{number}", "peer": "x", "message_id": 9})
+    found = " ".join(" ".join(lines(panels.node_text(node, RUNNING, width=NARROW, lines=LINES), NARROW)).split())
+    assert "for peers away: 1 in memory, 1 stored (200 B) dropped: a_reason_0 1, a_reason_1 1" in found
+
+
 def test_a_link_in_a_narrow_panel() -> None:
     link = Link("a", "b", {("a", "b", "radio"): Direction("radio", "up", rssi_dbm=-63.2, snr_db=27.9)})
     assert " signal   -63 dBm, SNR 28 dB" in lines(panels.link_text(link), NARROW)
