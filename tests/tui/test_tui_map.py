@@ -83,6 +83,14 @@ def test_names_stand_beside_their_nodes_and_make_room() -> None:
     assert any(" m" in line and "├" in line for line in lines)
 
 
+def test_names_of_neighbours_do_not_cover_each_other() -> None:
+    close_m = 4 * DOTS_X / PROJECTION.dots_per_m
+    text = "\n".join(written(scene_of(team({"alpha": (50, 0), "bravo": (50 + close_m, 0)}))))
+    assert text.count("●") == 2
+    assert "alpha" in text
+    assert "bravo" in text
+
+
 def test_a_relay_has_a_sign_of_its_own_and_the_chosen_one_a_frame() -> None:
     model = team({"base": (0, 0), "relay": (50, 0)})
     assert any("▲  relay " in line for line in written(scene_of(model, chosen="relay"), relays=("relay",)))
@@ -114,14 +122,16 @@ def test_rock_lies_around_a_floor_as_wide_as_the_tunnel() -> None:
 
 
 def test_all_lines_are_drawn_at_once_as_one_by_one() -> None:
-    lines = [((0.0, 0.0), (39.0, 20.0), 2, 1), ((5.0, 5.0), (5.0, 5.0), 3, 8), ((39.0, 0.0), (1.5, 30.2), 4, 3)]
-    together, alone = Layer(20, 8), Layer(20, 8)
+    lines = [((0.5, 0.5), (39.5, 20.5), 2, 1), ((5.5, 5.5), (5.5, 5.5), 3, 8), ((39.5, 0.5), (1.5, 30.5), 4, 3)]
+    together, one_by_one = Layer(20, 8), Layer(20, 8)
     together.draw(lines)
-    for line in lines:
-        alone.draw([line])
-    assert (together.masks == alone.masks).all()
-    assert (together.inks == alone.inks).all()
-    assert together.masks.any()
+    for (x0, y0), (x1, y1), ink, gap in lines:
+        steps = max(1, round(max(abs(x1 - x0), abs(y1 - y0))))
+        for step in range(0, steps + 1, gap):
+            x, y = x0 + (x1 - x0) * step / steps, y0 + (y1 - y0) * step / steps
+            one_by_one.set(np.array([x]), np.array([y]), np.array([ink], dtype=np.uint8))
+    assert (together.masks == one_by_one.masks).all()
+    assert (together.inks == one_by_one.inks).all()
 
 
 def test_a_row_is_cut_where_the_style_changes() -> None:
