@@ -11,52 +11,42 @@ import signal
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from netlab.engines.base import LabPlan, Pair
+from netlab.engines.base import Pair
 from netlab.errors import LabError
-from netlab.lab.links import Links, parse_words
-from netlab.lab.motion import Motion
+from netlab.lab.effects import EXIT_LIMIT_S
+from netlab.lab.flap import Flap
+from netlab.lab.links import PERSON, parse_words
+from netlab.lab.parts import Parts
 from netlab.lab.process import State
-from netlab.lab.processes import Processes
-from netlab.lab.recording import Recording
-from netlab.lab.scenario_run import READY_LIMIT_S, ScenarioRun, wait_for_state, wait_ready
+from netlab.lab.readiness import READY_LIMIT_S, wait_for_state, wait_ready
+from netlab.lab.scenario_run import ScenarioRun
 from netlab.medium.impairments import PERFECT, Impairment
 from netlab.medium.segments import SegmentKind
 from netlab.timeline import DeployNode, Kind, carried_pairs
 from netlab.timeline.impairments import impairment
 from netlab.timeline.labels import impairment_words
 
-PERSON = "person"  # who holds links down
 Act = dict[str, Any]
-Undo = Callable[[], Awaitable[None]]
-
-
-class ActedOn(Protocol):
-    """The parts of a lab that acts change."""
-
-    plan: LabPlan
-    links: Links
-    processes: Processes
-    recording: Recording
-    motion: Motion
-    run: ScenarioRun
 
 
 @dataclass(frozen=True, slots=True)
-class _Done:
+class Undoable:
+    """An act that has been done, and how to take it back."""
+
     label: str
-    undo: Undo
+    undo: Callable[[], Awaitable[object]]
 
 
 class Acts:
     """The acts on one lab, and how to take them back."""
 
-    def __init__(self, lab: ActedOn) -> None:
-        self._lab = lab
-        self._done: list[_Done] = []
+    def __init__(self, parts: Parts, run: ScenarioRun) -> None:
+        self._parts = parts
+        self._run = run
+        self._done: list[Undoable] = []
         self._flaps: dict[frozenset[str], asyncio.Task[None]] = {}
-        self._undoing = False
 
     @property
     def next_undo(self) -> str | None:
@@ -72,52 +62,55 @@ class Acts:
         method = getattr(self, f"_do_{request.get('do')}", None)
         if method is None:
             return None
-        return (await method(request)) or {"ok": True}
+        done = await method(request)
+        if isinstance(done, Undoable):  # an undo calls the methods too, but what it does is not to be undone
+            self._done.append(done)
+            return {"ok": True}
+        return done or {"ok": True}
 
     # -- links ----------------------------------------------------------------------------------------------------
 
-    async def _do_outage(self, request: Act) -> None:
+    async def _do_outage(self, request: Act) -> Undoable:
         a, b = request["between"]
         one_way, active = bool(request.get("one_way")), bool(request["active"])
-        pairs, kind = self._lab.links.between(a, b, one_way=one_way)
-        self._lab.links.set_outage(PERSON, pairs, active=active)
+        pairs, kind = self._parts.links.between(a, b, one_way=one_way)
+        self._parts.links.set_outage(PERSON, pairs, active=active)
         label = f"outage {_path(a, b, one_way)} {'begins' if active else 'ends'}"
         act = {"do": "outage", "between": [a, b], "one_way": one_way, "active": active, **self._over(a, b, kind)}
         self._record("outage", label, act, restores=None if active else (a, b))
-        self._can_undo(label, lambda: self._do_outage({**act, "active": not active}))
+        return Undoable(label, lambda: self._do_outage({**act, "active": not active}))
 
-    async def _do_carrier(self, request: Act) -> None:
+    async def _do_carrier(self, request: Act) -> Undoable:
         a, b = request["between"]
         up = bool(request["up"])
-        pairs, kind = self._lab.links.between(a, b)
+        pairs, kind = self._parts.links.between(a, b)
         if kind is not SegmentKind.WIRE:
-            await self._do_outage(request | {"active": not up})
-            return
+            return await self._do_outage(request | {"active": not up})
         if up:  # whole again, also where one direction was cut
-            self._lab.links.set_outage(PERSON, pairs, active=False)
-        self._lab.links.set_carrier(PERSON, {port for pair in pairs for port in pair}, up=up)
+            self._parts.links.set_outage(PERSON, pairs, active=False)
+        self._parts.links.set_carrier(PERSON, {port for pair in pairs for port in pair}, up=up)
         label = f"link {a}-{b} {'up' if up else 'down'}"
         act = {"do": "carrier", "between": [a, b], "up": up, **self._over(a, b, kind)}
         self._record("carrier", label, act, restores=(a, b) if up else None)
-        self._can_undo(label, lambda: self._do_carrier({"between": [a, b], "up": not up}))
+        return Undoable(label, lambda: self._do_carrier({"between": [a, b], "up": not up}))
 
-    async def _do_flap(self, request: Act) -> None:
+    async def _do_flap(self, request: Act) -> Undoable:
         a, b = request["between"]
         up_s, down_s, for_s = (float(request[key]) for key in ("up_s", "down_s", "for_s"))
         if min(up_s, down_s, for_s) <= 0:
             raise LabError("a flap's times are above zero")
-        pairs, kind = self._lab.links.between(a, b)
+        pairs, kind = self._parts.links.between(a, b)
         key = frozenset((a, b))
         if key in self._flaps:
             raise LabError(f"{a}-{b} flaps already")
-        flap = _Flap(self._lab, a, b, pairs, by_carrier=kind is SegmentKind.WIRE)
+        flap = Flap(self._parts, self._run, a, b, frozenset(pairs), by_carrier=kind is SegmentKind.WIRE)
         times = {"up_s": up_s, "down_s": down_s, "for_s": for_s}
         act = {"do": "flap", "between": [a, b], **times, **self._over(a, b, kind)}
         label = f"flap {a}-{b}: down {down_s:g} s, up {up_s:g} s, for {for_s:g} s"
         self._record("flap", label, act)
         task = self._flaps[key] = asyncio.create_task(flap.run(up_s=up_s, down_s=down_s, for_s=for_s))
         task.add_done_callback(lambda _task: self._flaps.pop(key, None))
-        self._can_undo(label, lambda: self._do_flap_end({"between": [a, b]}))
+        return Undoable(label, lambda: self._do_flap_end({"between": [a, b]}))
 
     async def _do_flap_end(self, request: Act) -> None:
         a, b = request["between"]
@@ -128,104 +121,101 @@ class Acts:
         await asyncio.wait({task})
         self._record("flap_end", f"flap {a}-{b} is over", {"do": "flap_end", "between": [a, b]})
 
-    async def _do_link(self, request: Act) -> None:
+    async def _do_link(self, request: Act) -> Undoable:
         a, b = request["between"]
         one_way = bool(request.get("one_way"))
-        pairs, kind = self._lab.links.between(a, b, one_way=one_way)
+        pairs, kind = self._parts.links.between(a, b, one_way=one_way)
         words = parse_words(a, b, request["words"])
-        if words.rssi_dbm is not None and any(self._lab.links.signals.rssi_dbm(pair) is not None for pair in pairs):
+        if words.rssi_dbm is not None and any(self._parts.links.signals.rssi_dbm(pair) is not None for pair in pairs):
             raise LabError(f"link {a} {b}: rssi follows places, or a measured file, here; move a node, or set loss")
-        before = {pair: self._lab.links.impairment(pair) for pair in pairs}
-        self._lab.links.set_pairs({pair: impairment(words, before[pair] or PERFECT) for pair in pairs})
+        before = {pair: self._parts.links.impairment(pair) for pair in pairs}
+        self._parts.links.set_pairs({pair: impairment(words, before[pair] or PERFECT) for pair in pairs})
         label = f"link {_path(a, b, one_way)}: " + ", ".join(f"{key}={v}" for key, v in request["words"].items())
         words_given = dict(request["words"])
         act = {"do": "link", "between": [a, b], "one_way": one_way, "words": words_given, **self._over(a, b, kind)}
         self._record(Kind.LINK, label, act)
-        self._can_undo(label, lambda: self._restore_link(act, before))
+        return Undoable(label, lambda: self._restore_link(act, before))
 
     async def _restore_link(self, act: Act, before: dict[Pair, Impairment | None]) -> None:
         """Lay the former words over again; recorded one direction at a time where they differ."""
-        self._lab.links.set_pairs(before)
+        self._parts.links.set_pairs(before)
         for (sender, receiver), former in before.items():
-            a, b = (self._lab.plan.ports[port].node for port in (sender, receiver))
+            a, b = (self._parts.plan.ports[port].node for port in (sender, receiver))
             words = impairment_words(former or PERFECT, act["words"])
             label = f"link {a}->{b}: " + ", ".join(f"{key}={value}" for key, value in words.items())
             self._record(Kind.LINK, label, {**act, "between": [a, b], "one_way": True, "words": words})
 
     # -- nodes ----------------------------------------------------------------------------------------------------
 
-    async def _do_move(self, request: Act) -> None:
+    async def _do_move(self, request: Act) -> Undoable:
         node, speed_mps = request["node"], request.get("speed_mps")
         to_m = tuple(map(float, request["to"]))
-        motion = self._lab.motion
-        was_m = motion.place(node) if node in self._lab.plan.nodes else ()
+        motion = self._parts.motion
+        was_m = motion.place(node) if node in self._parts.plan.nodes else ()
         motion.move(node, to_m, at_s=motion.now_s(), speed_mps=speed_mps)
         label = f"move {node} to [{', '.join(f'{value:g}' for value in to_m)}]"
         act = {"do": "move", "node": node, "to": list(to_m), "speed_mps": speed_mps}
         self._record(Kind.MOVE, label, act)
         back = [round(value, 2) for value in was_m]
-        self._can_undo(label, lambda: self._do_move({"node": node, "to": back}))
+        return Undoable(label, lambda: self._do_move({"node": node, "to": back}))
 
-    async def _do_deploy(self, request: Act) -> None:
+    async def _do_deploy(self, request: Act) -> Undoable:
         node = request["node"]
-        carried = carried_pairs(self._lab.run.scenario, self._lab.plan)
+        carried = carried_pairs(self._parts.scenario, self._parts.plan)
         if node not in carried:
             known = ", ".join(carried) or "nothing"
             raise LabError(f"nobody carries '{node}'; carried in this scenario: {known}")
-        if self._lab.run.t_s is None:
+        if self._run.t_s is None:
             raise LabError(f"'{node}' can be dropped once the scenario runs")
-        self._lab.motion.deploy(node)
-        for entry in self._lab.run.schedule.coming:
-            if isinstance(entry.action, DeployNode) and entry.action.node == node:
-                self._lab.run.schedule.drop(entry)
-        action = DeployNode(node, carried[node])
-        await self._lab.run.apply(
-            action, Kind.DEPLOY, f"deploy {node}", at_s=self._lab.run.t_s, act={"do": "deploy", "node": node}
-        )
-        self._can_undo(f"deploy {node}", lambda: _refuse(f"'{node}' lies on the ground; nobody picks it up again"))
+        self._parts.motion.deploy(node)
+        self._run.playback.drop_deployment(node)
+        action, act = DeployNode(node, carried[node]), {"do": "deploy", "node": node}
+        await self._run.effects.apply(action, Kind.DEPLOY, f"deploy {node}", at_s=self._run.t_s, act=act)
+        return Undoable(f"deploy {node}", lambda: _refuse(f"'{node}' lies on the ground; nobody picks it up again"))
 
-    async def _do_kill(self, request: Act) -> None:
+    async def _do_kill(self, request: Act) -> Undoable:
         node, name = request["node"], request["process"]
-        process = self._lab.processes.get(node, name)
+        process = self._parts.processes.get(node, name)
         if process.state is State.EXITED:
             raise LabError(f"{node}: {name} is not running")
         self._record(Kind.KILL, f"kill {name} on {node}", {"do": "kill", "node": node, "process": name})
-        self._lab.processes.stop(process, signal.SIGKILL)
-        await wait_for_state(process, State.EXITED, 5.0)
-        self._can_undo(f"kill {name} on {node}", lambda: self._do_start({"node": node, "process": name}))
+        self._parts.processes.stop(process, signal.SIGKILL)
+        await wait_for_state(process, State.EXITED, EXIT_LIMIT_S)
+        return Undoable(f"kill {name} on {node}", lambda: self._do_start({"node": node, "process": name}))
 
-    async def _do_start(self, request: Act) -> None:
+    async def _do_start(self, request: Act) -> Undoable:
         node, name = request["node"], request["process"]
-        process = self._lab.processes.get(node, name)
+        process = self._parts.processes.get(node, name)
         if process.state is not State.EXITED:
             raise LabError(f"{node}: {name} is {process.state} already")
         self._record(Kind.START, f"start {name} on {node}", {"do": "start", "node": node, "process": name})
-        self._lab.processes.start(process.spec)
+        self._parts.processes.start(process.spec)
         await wait_ready([process], READY_LIMIT_S)
-        self._can_undo(f"start {name} on {node}", lambda: self._do_kill({"node": node, "process": name}))
+        return Undoable(f"start {name} on {node}", lambda: self._do_kill({"node": node, "process": name}))
 
     # -- the timeline and the recording ---------------------------------------------------------------------------
 
     async def _do_mark(self, request: Act) -> None:
+        """Mark now, or the moment ``ago_s`` before: it takes a person a while to say what it was."""
         text = str(request["text"]).strip()[:200] or "mark"
-        self._record(Kind.MARK, text, {"do": "mark", "text": text})
+        self._record(Kind.MARK, text, {"do": "mark", "text": text}, ago_s=max(0.0, float(request.get("ago_s", 0.0))))
 
     async def _do_hold(self, _request: Act) -> None:
-        self._lab.run.hold()
+        self._run.hold()
         self._record(Kind.HOLD, "the timeline stands still", {"do": "hold"})
 
     async def _do_resume(self, _request: Act) -> None:
-        self._lab.run.resume()
+        self._run.resume()
         self._record(Kind.RESUME, "the timeline goes on", {"do": "resume"})
 
     async def _do_step(self, _request: Act) -> dict[str, Any]:
-        entries = await self._lab.run.step()
+        entries = await self._run.step()
         return {"ok": True, "labels": list(dict.fromkeys(entry.label for entry in entries))}
 
     async def _do_record(self, request: Act) -> dict[str, Any]:
         """Go on in another file, or (no file) record nothing from now on."""
         path = request.get("file")
-        recording = self._lab.recording
+        recording = self._parts.recording
         if path is None:
             self._record("recording", "the recording ends", {"do": "record", "file": None})
             recording.close_file()
@@ -238,58 +228,22 @@ class Acts:
         if not self._done:
             raise LabError("there is nothing to undo")
         last = self._done.pop()
-        self._undoing = True  # an undo is an act, but not one to be undone
-        try:
-            await last.undo()
-        finally:
-            self._undoing = False
+        await last.undo()
         return {"ok": True, "label": last.label}
 
     def _over(self, a: str, b: str, kind: SegmentKind) -> dict[str, str]:
         """Which of the two is meant, where a wire and a radio join two nodes."""
-        return {"over": kind.value} if len(self._lab.run.scenario.joined(a, b)) > 1 else {}
+        return {"over": kind.value} if len(self._parts.scenario.joined(a, b)) > 1 else {}
 
-    def _can_undo(self, label: str, undo: Undo) -> None:
-        if not self._undoing:
-            self._done.append(_Done(label, undo))
-
-    def _record(self, kind: str, label: str, act: Act, *, restores: tuple[str, str] | None = None) -> None:
-        lab = self._lab
-        lab.recording.timeline(kind, label, at_s=lab.run.t_s, restores=list(restores) if restores else None, act=act)
+    def _record(
+        self, kind: str, label: str, act: Act, *, restores: tuple[str, str] | None = None, ago_s: float = 0.0
+    ) -> None:
+        recording, t_s = self._parts.recording, self._run.t_s
+        at_s = None if t_s is None else t_s - ago_s
+        both = list(restores) if restores else None
+        recording.timeline(kind, label, at_s=at_s, ago_s=ago_s, restores=both, act=act)
         if act["do"] in ("outage", "carrier", "link"):
-            lab.recording.links(lab.links.describe())
-
-
-class _Flap:
-    """One link that goes down and up."""
-
-    def __init__(self, lab: ActedOn, a: str, b: str, pairs: set[Pair], *, by_carrier: bool) -> None:
-        self._lab, self._ends, self._pairs, self._by_carrier = lab, (a, b), pairs, by_carrier
-
-    async def run(self, *, up_s: float, down_s: float, for_s: float) -> None:
-        """Down first; up again at the end, also when it is cancelled."""
-        loop = asyncio.get_running_loop()
-        end_s = loop.time() + for_s
-        try:
-            while (left_s := end_s - loop.time()) > 0:
-                self._set(down=True)
-                await asyncio.sleep(min(down_s, left_s))
-                self._set(down=False)
-                await asyncio.sleep(min(up_s, max(0.0, end_s - loop.time())))
-        except asyncio.CancelledError:
-            self._set(down=False)
-
-    def _set(self, *, down: bool) -> None:
-        a, b = self._ends
-        holder = f"{PERSON} flap {a}-{b}"
-        if self._by_carrier:
-            self._lab.links.set_carrier(holder, {port for pair in self._pairs for port in pair}, up=not down)
-        else:
-            self._lab.links.set_outage(holder, self._pairs, active=down)
-        kind, word = (Kind.FLAP_DOWN, "down") if down else (Kind.FLAP_UP, "up")
-        restores = None if down else [a, b]
-        self._lab.recording.timeline(kind, f"flap {a}-{b} {word}", at_s=self._lab.run.t_s, restores=restores)
-        self._lab.recording.links(self._lab.links.describe())
+            recording.links(self._parts.links.describe())
 
 
 def _path(a: str, b: str, one_way: bool) -> str:

@@ -1,7 +1,8 @@
 """The lab's control socket: one JSON request per message, answers on the same connection.
 
 SOCK_SEQPACKET keeps message borders and lets `exec` pass its standard streams. Only the lab's owner may speak: the
-folder is private, and the kernel's word on the peer's user id is checked as well. Requests: see ``Supervisor.handle``.
+folder is private, and the kernel's word on the peer's user id is checked as well.
+Requests: see :mod:`netlab.lab.requests`.
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ with Lab("topologies/pair.yaml") as lab:
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import tempfile
@@ -22,6 +21,7 @@ import yaml
 
 import netlab
 from netlab.errors import LabError
+from netlab.lab.commands import exec_request, run_command, start_command
 from netlab.lab.control import ControlClient
 from netlab.lab.launch import LabProcess, LaunchOptions, OnStage, launch, make_room
 from netlab.lab.nursery import Nursery
@@ -211,26 +211,8 @@ class Lab:
             LabError: Unknown node or program.
             subprocess.TimeoutExpired: It did not end in time (it is ended then).
         """
-        with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-            stdin.write(text.encode())
-            stdin.seek(0)
-            connection = self._running.connect()
-            try:
-                request = _exec_request(node, argv, env)
-                connection.request(request, [stdin.fileno(), out.fileno(), err.fileno()])
-                try:
-                    status = connection.next_reply(timeout_s=timeout_s)["exit"]
-                except LabError as error:
-                    if isinstance(error.__cause__, TimeoutError):
-                        raise subprocess.TimeoutExpired(argv, timeout_s) from error
-                    raise
-            finally:
-                connection.close()
-            out.seek(0)
-            err.seek(0)
-            return subprocess.CompletedProcess(
-                argv, status, out.read().decode(errors="replace"), err.read().decode(errors="replace")
-            )
+        connection = self._running.connect()
+        return run_command(connection, exec_request(node, argv, env), timeout_s=timeout_s, text=text)
 
     def spawn(self, node: str, *argv: str, env: Mapping[str, str] | None = None) -> ControlClient:
         """Start a command in a node and leave it running, its output thrown away.
@@ -241,13 +223,7 @@ class Lab:
             LabError: Unknown node or program.
         """
         connection = self._running.connect()
-        request = _exec_request(node, argv, env)
-        with Path(os.devnull).open("r+b") as null:
-            try:
-                connection.request(request, [null.fileno()] * 3)
-            except BaseException:
-                connection.close()
-                raise
+        start_command(connection, exec_request(node, argv, env))
         return connection
 
     def outage(self, a: str, b: str, *, active: bool, one_way: bool = False) -> None:
@@ -316,7 +292,3 @@ class Lab:
             return connection.request(request, timeout_s=timeout_s)
         finally:
             connection.close()
-
-
-def _exec_request(node: str, argv: Sequence[str], env: Mapping[str, str] | None) -> dict[str, Any]:
-    return {"do": "exec", "node": node, "argv": list(argv), "env": dict(env or {}), "cwd": str(Path.cwd())}

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _T = TypeVar("_T")
+#: Who holds pairs down, or motion still.
+TIMELINE, PERSON = "timeline", "person"
 
 
 class Links:
@@ -184,6 +186,11 @@ def _holding(
     except BaseException:
         holders[holder] = former
         raise
+
+
+def carried(node: str) -> str:
+    """Who holds the pairs of a node down that is still carried."""
+    return f"carried {node}"
 
 
 def _held(holders: dict[str, set[_T]]) -> set[_T]:

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 
 from netlab.capture.scene import Passage, Pose, map_message, poses_message
 from netlab.errors import LabError
-from netlab.lab.links import Links
-from netlab.lab.scenario_run import carried
+from netlab.lab.links import Links, carried
 from netlab.scenario.events import Event
 from netlab.scenario.model import Scenario
 from netlab.scenario.motion import tracks
 from netlab.timeline import carried_pairs
+from netlab.timeline.schedule import Standstill
 from netlab.world.motion import MotionError, Move
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ class Motion:
         #: Whether something else than places changes with time.
         self.always_ticks = False
         self.on_failure: Callable[[str], None] = lambda text: None
-        #: For how long the timeline has been held so far, in nanoseconds.
-        self.held_ns: Callable[[], int] = lambda: 0
+        #: Who holds all motion, by run time.
+        self.standstill = Standstill()
         self._t0_ns: int | None = None
         self._task: asyncio.Task[None] | None = None
 
@@ -106,7 +106,7 @@ class Motion:
 
     def now_s(self) -> float:
         """Script time, 0 before it begins."""
-        return 0.0 if self._t0_ns is None else max(0.0, (time.time_ns() - self._t0_ns - self.held_ns()) / 1e9)
+        return 0.0 if self._t0_ns is None else max(0.0, self._script_s(self._t0_ns))
 
     def place(self, node: str) -> tuple[float, ...]:
         """Where a node is now."""
@@ -144,6 +144,10 @@ class Motion:
         if poses:
             self._record_poses(at_s, time.time_ns())
 
+    def _script_s(self, t0_ns: int) -> float:
+        run_s = (time.time_ns() - t0_ns) / 1e9
+        return run_s - self.standstill.total_s(run_s)
+
     def _ended(self, task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (error := task.exception()) is not None:
             self.on_failure(f"nothing moves any more: {error!r}")
@@ -154,7 +158,7 @@ class Motion:
             reached = int(self.now_s() / TICK_S)
             number = max(number + 1, reached)
             at_s = number * TICK_S
-            while (wait_s := (t0_ns + self.held_ns() - time.time_ns()) / 1e9 + at_s) > 0:
+            while (wait_s := at_s - self._script_s(t0_ns)) > 0:
                 await asyncio.sleep(wait_s)
             self.tick(at_s, poses=self._moves_at_all and number % _TICKS_PER_POSE == 0)
 

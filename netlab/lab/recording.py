@@ -25,8 +25,9 @@ class Recording:
 
     def __init__(self, recorder: Recorder | None, file: str | None = None) -> None:
         self._recorder = recorder
-        #: The file that is written to now.
+        #: The file that is written to now, None for none.
         self.file = file
+        self._is_over = False
         self._log_feeds: dict[tuple[str, str], int] = {}
         self.lines_dropped = 0
         #: A file for the timeline's rows (JSON lines), with a capture or without.
@@ -108,7 +109,8 @@ class Recording:
             CaptureError: The file cannot be created.
         """
         if self._recorder is None:
-            raise LabError("this lab was started without a recorder; start it with --capture FILE")
+            never = "this lab was started without a recorder; start it with --capture FILE"
+            raise LabError("the scenario is over, and its recorder has ended" if self._is_over else never)
         self._recorder.open_file(str(path))
         self.file = str(path)
 
@@ -149,6 +151,7 @@ class Recording:
             os.close(feed)
         self._log_feeds.clear()
         recorder, self._recorder = self._recorder, None
+        self.file, self._is_over = None, recorder is not None or self._is_over
         return recorder.close() if recorder is not None else None
 
     def _feed(self, kind: str, topic: str, node: str, process: str) -> int | None:

@@ -9,22 +9,20 @@ import asyncio
 import signal
 from typing import Any, Protocol
 
-from netlab.engines.base import LabPlan
 from netlab.errors import LabError
 from netlab.lab.acts import Acts
 from netlab.lab.control import Connection, Reply, Request
-from netlab.lab.processes import Processes, kill_group
-from netlab.lab.recording import Recording
+from netlab.lab.parts import Parts
+from netlab.lab.processes import kill_group
 from netlab.lab.scenario_run import Phase, ScenarioRun
 
 
 class RunningLab(Protocol):
-    """The parts of a lab that requests act on."""
+    """A lab as requests see it."""
 
-    plan: LabPlan
-    processes: Processes
-    recording: Recording
+    parts: Parts
     run: ScenarioRun
+    acts: Acts
 
     def status(self) -> dict[str, Any]: ...
     def begin_scenario(self) -> asyncio.Task[None]: ...
@@ -34,9 +32,8 @@ class RunningLab(Protocol):
 class Requests:
     """Answers the control socket's requests for one lab."""
 
-    def __init__(self, lab: RunningLab, acts: Acts) -> None:
+    def __init__(self, lab: RunningLab) -> None:
         self._lab = lab
-        self._acts = acts
 
     async def handle(self, request: Request, fds: list[int], connection: Connection) -> Reply | None:
         """Answer one control request; its ``do`` names a method ``_do_...``.
@@ -48,7 +45,7 @@ class Requests:
         if method is not None:
             reply: Reply | None = await method(request, fds, connection)
             return reply
-        done = await self._acts.do(request)
+        done = await self._lab.acts.do(request)
         if done is None:
             raise LabError(f"unknown request {request.get('do')!r}")
         return done
@@ -77,12 +74,12 @@ class Requests:
 
     async def _do_exec(self, request: Request, fds: list[int], connection: Connection) -> None:
         node, argv = request["node"], tuple(request["argv"])
-        if node not in self._lab.plan.nodes:
-            raise LabError(f"there is no node '{node}'; nodes are {', '.join(self._lab.plan.nodes)}")
+        if node not in self._lab.parts.plan.nodes:
+            raise LabError(f"there is no node '{node}'; nodes are {', '.join(self._lab.parts.plan.nodes)}")
         if len(fds) != 3:
             raise LabError("exec takes three descriptors")
         tty = bool(request.get("tty"))
-        pid, ended = self._lab.processes.execute(node, argv, request.get("env", {}), request["cwd"], fds, tty=tty)
+        pid, ended = self._lab.parts.processes.execute(node, argv, request.get("env", {}), request["cwd"], fds, tty=tty)
         connection.send({"pid": pid})
         connection.on_close = lambda: _hang_up(pid, ended)
         status = await ended
@@ -92,7 +89,7 @@ class Requests:
     async def _do_subscribe(self, request: Request, fds: list[int], _connection: Connection) -> Reply:
         if len(fds) != 1:
             raise LabError("subscribe takes one descriptor: a stream socket")
-        self._lab.recording.subscribe(fds[0], packets=bool(request.get("packets")))
+        self._lab.parts.recording.subscribe(fds[0], packets=bool(request.get("packets")))
         return {"ok": True}
 
     async def _do_down(self, _request: Request, _fds: list[int], _connection: Connection) -> Reply:

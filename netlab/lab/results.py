@@ -67,6 +67,12 @@ class RunResult:
         parts.append(_section(_BROKEN, self.failures))
         return "\n\n".join(part for part in parts if part)
 
+    def brief(self) -> str:
+        """Expectations, each in a line, and what went wrong; for where there is no room for the report."""
+        parts = [_section("expectations", [_line(result, explained=False) for result in self.expectations])]
+        parts += [_section("problems", self.problems), _section(_BROKEN, self.failures)]
+        return "\n\n".join(part for part in parts if part)
+
     def complaints(self) -> str:
         """The part of the report that is not good news; empty if there is none."""
         unmet = [_line(result) for result in self.expectations if not result.passed]
@@ -99,9 +105,9 @@ def _measured(result: ExpectationResult) -> str:
     return f"measured {result.measured:.4g}"
 
 
-def _line(result: ExpectationResult) -> str:
+def _line(result: ExpectationResult, *, explained: bool = True) -> str:
     line = f"{'met    ' if result.passed else 'NOT MET'}  {result.name}  ({_measured(result)})"
-    return f"{line}\n{result.explanation}" if result.explanation else line
+    return f"{line}\n{result.explanation}" if explained and result.explanation else line
 
 
 def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, kept: bool) -> RunResult:
@@ -129,7 +135,24 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
     problems = [text for text in (*final["problems"], *final["notices"]) if text not in failures]
     drops = recorder.get("kernel_drops", {})
     problems += [f"{node}: {count} packets are missing from the capture" for node, count in drops.items() if count]
-    shown = {
+    return RunResult(
+        _summary(scenario, final, trace, expectations, str(capture) if kept else None),
+        trace,
+        expectations,
+        tuple(dict.fromkeys(problems)),
+        tuple(dict.fromkeys(failures)),
+        final["worst_stall_s"],
+    )
+
+
+def _summary(
+    scenario: Scenario,
+    final: dict[str, Any],
+    trace: Trace,
+    expectations: Sequence[ExpectationResult],
+    capture: str | None,
+) -> dict[str, Any]:
+    return {
         "scenario": scenario.name,
         "engine": final["engine"],
         "clock": clock_here(),
@@ -143,16 +166,8 @@ def evaluate_run(scenario: Scenario, final: dict[str, Any], capture: Path, *, ke
             {"name": result.name, "passed": result.passed, "measured": result.measured, "limit": result.limit}
             for result in expectations
         ],
-        "capture": str(capture) if kept else None,
+        "capture": capture,
     }
-    return RunResult(
-        shown,
-        trace,
-        expectations,
-        tuple(dict.fromkeys(problems)),
-        tuple(dict.fromkeys(failures)),
-        final["worst_stall_s"],
-    )
 
 
 def _process(row: dict[str, Any]) -> dict[str, Any]:

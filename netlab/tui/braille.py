@@ -6,7 +6,6 @@ lines cross in a cell the higher ink wins.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -42,16 +41,17 @@ class Layer:
         return twin
 
     def draw(self, lines: Iterable[Line]) -> None:
-        """Set the dots of lines; what lies outside is left out."""
-        xs, ys, inks = [], [], []
-        for (x0, y0), (x1, y1), ink, gap in lines:
-            count = max(1, math.ceil(max(abs(x1 - x0), abs(y1 - y0))))
-            steps = np.arange(0, count + 1, gap) / count
-            xs.append(x0 + (x1 - x0) * steps)
-            ys.append(y0 + (y1 - y0) * steps)
-            inks.append(np.full(len(steps), ink, dtype=np.uint8))
-        if xs:
-            self.set(np.concatenate(xs), np.concatenate(ys), np.concatenate(inks))
+        """Set the dots of lines, all at once; what lies outside is left out."""
+        rows = [(x0, y0, x1 - x0, y1 - y0, ink, gap) for (x0, y0), (x1, y1), ink, gap in lines]
+        if not rows:
+            return
+        x0, y0, dx, dy, ink, gap = np.array(rows, dtype=np.float64).T
+        steps = np.maximum(1.0, np.ceil(np.maximum(np.abs(dx), np.abs(dy))))
+        counts = (steps // gap).astype(np.int64) + 1
+        line = np.repeat(np.arange(len(rows)), counts)
+        number = np.arange(len(line)) - np.repeat(np.cumsum(counts) - counts, counts)
+        share = number * gap[line] / steps[line]
+        self.set(x0[line] + dx[line] * share, y0[line] + dy[line] * share, ink[line].astype(np.uint8))
 
     def set(self, x: NDArray[np.float64], y: NDArray[np.float64], inks: NDArray[np.uint8]) -> None:
         """Set dots by their coordinates (dots, from the top left)."""

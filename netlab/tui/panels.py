@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from rich.text import Text
@@ -13,84 +12,68 @@ from netlab.live.links import Direction, Link
 from netlab.live.model import LiveModel, Node
 from netlab.live.windows import LatencyWindow, sparkline
 from netlab.tui import palette
+from netlab.tui.standing import Standing
 from netlab.tui.tour import STEPS
+from netlab.tui.wording import counted, ms, rate, size, wrapped
 
+_LEAST_SPARK = 8
+_TIME_WIDTH = 10  # a time and a sign
 _STATES = {"ready": "#35c48d", "starting": "#e5c453", "exited": "#e0485f"}
 
 
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """What the lab's supervisor says of itself, beside the records: processes, coming events, the recording."""
-
-    phase: str = "starting"
-    t_s: float | None = None
-    end_s: float = 0.0
-    held: bool = False
-    recording: str | None = None
-    undo: str | None = None
-    processes: tuple[Mapping[str, Any], ...] = ()
-    coming: tuple[Mapping[str, Any], ...] = ()
-    troubles: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, status: Mapping[str, Any]) -> Standing:
-        """From a status of the lab."""
-        return cls(
-            phase=str(status["phase"]),
-            t_s=status["t_s"],
-            end_s=float(status["end_s"]),
-            held=bool(status["held"]),
-            recording=status["recording"],
-            undo=status["undo"],
-            processes=tuple(status["processes"]),
-            coming=tuple(status["coming"]),
-            troubles=(*status["failures"], *status["problems"], *status["notices"]),
-        )
-
-    def processes_of(self, node: str) -> list[Mapping[str, Any]]:
-        """The processes of a node."""
-        return [process for process in self.processes if process["node"] == node]
-
-
 def head_text(model: LiveModel, standing: Standing, width: int) -> Text:
-    """Name, time with a bar, whether the timeline stands still, what is recorded."""
+    """Name, time with a bar, whether the timeline stands still, what is recorded; the engine where there is room."""
     t_s = max(0.0, standing.t_s or 0.0)
-    text = Text(no_wrap=True)
+    text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f" {model.name} ", style=f"bold {palette.CHOSEN} on #24415c")
     if standing.phase == "running":
         label, style = ("‖ timeline held", "bold #e5c453") if standing.held else ("▶ running", "#35c48d")
     else:
         label, style = standing.phase, palette.DIM
     text.append(f" {label} ", style=style)
-    text.append(f" {min(t_s, standing.end_s):5.1f} / {standing.end_s:g} s ", style=palette.TEXT)
+    text.append(f" {min(t_s, standing.end_s):5.1f} / {round(standing.end_s, 1):g} s ", style=palette.TEXT)
     bar = max(6, min(30, width - 84))
     done = round(bar * min(1.0, t_s / standing.end_s)) if standing.end_s else 0
     text.append("━" * done, style=palette.ACCENT)
     text.append("━" * (bar - done), style="#2b333d")
     file = standing.recording
-    text.append("  ● rec " if file else "  ○ not recording ", style="bold #e0485f" if file else palette.DIM)
+    if file or standing.phase != "finished":
+        text.append("  ● rec " if file else "  ○ not recording ", style="bold #e0485f" if file else palette.DIM)
     if file:
         text.append(file.rsplit("/", 1)[-1], style=palette.DIM)
-    text.append(f"  engine {model.engine}", style=palette.DIM)
+    engine = f"  engine {model.engine}"
+    text.append(engine if text.cell_len + len(engine) <= width else "", style=palette.DIM)
     return text
 
 
-def overview_text(model: LiveModel, standing: Standing) -> Text:
-    """While nothing is chosen: the team, and what went wrong."""
+def overview_text(model: LiveModel, standing: Standing, *, width: int) -> Text:
+    """While nothing is chosen: the team, and what went wrong, in whole sentences."""
     text = Text(no_wrap=True, overflow="ellipsis")
-    _section(text, f"{len(model.nodes)} nodes")
+    name_width = max(8, min(14, width - 21))
+    _section(text, f"{counted(len(model.nodes), 'node'):<{name_width + 2}}{'peers':<9}queued")
     for node in model.nodes.values():
         exited = [row for row in standing.processes_of(node.name) if row["state"] == "exited" and row["exit_status"]]
         style = "#e0485f" if exited else palette.TEXT if node.active else palette.GONE
-        waiting = sum(waits.size_bytes for waits in node.queues.by_priority().values())
-        told = f"{len(node.online)} peers" if node.peers else ("" if node.active else "carried")
-        text.append(f" {'●' if node.active else '○'} {node.name:<14}", style=style)
-        text.append(f"{told:<9} {_size(waiting) + ' waiting' if waiting else ''}\n", style=palette.DIM)
+        queued = sum(waits.size_bytes for waits in node.queues.by_priority().values())
+        told = f"{len(node.online)}" if node.peers else ("" if node.active else "carried")
+        text.append(f" {'●' if node.active else '○'} {node.name:<{name_width}}", style=style)
+        text.append(f"{told:<9}{size(queued) if queued else ''}\n", style=palette.DIM)
     if standing.troubles:
         _section(text, "troubles")
         for trouble in standing.troubles[-5:]:
-            text.append(f" {trouble.splitlines()[0]}\n", style=palette.WARNING)
-    text.append("\n → picks a node, ↓ a link, ? is a tour\n", style=palette.DIM)
+            _sentence(text, trouble.splitlines()[0], width, palette.WARNING)
+    text.append("\n → a node, ↓ a link, ? the tour\n", style=palette.DIM)
+    return text
+
+
+def verdict_text(brief: str, *, width: int) -> Text:
+    """How the run went, in whole sentences."""
+    text = Text(no_wrap=True)
+    for line in brief.splitlines():
+        indent = len(line) - len(line.lstrip())
+        style = palette.WARNING if line.lstrip().startswith("NOT MET") else palette.TEXT if indent else palette.ACCENT
+        for part in wrapped(line.strip(), width, indent=indent + 1) or [""]:
+            text.append(f"{part}\n", style=style)
     return text
 
 
@@ -99,11 +82,10 @@ def tour_text(title: str, what: str, place: int) -> Text:
     text = Text()
     text.append(f"{place + 1}/{len(STEPS)}  {title}   ", style=f"bold {palette.CHOSEN}")
     text.append(what)
-    text.append("   (? leaves the tour, Enter skips)", style=palette.DIM)
     return text
 
 
-def node_text(node: Node, standing: Standing, *, lines: int) -> Text:
+def node_text(node: Node, standing: Standing, *, width: int, lines: int) -> Text:
     """Peers, queues, what waits for peers that are away, processes, the tail of the log."""
     text = Text(no_wrap=True, overflow="ellipsis")
     _title(text, node.name, "" if node.active else "carried")
@@ -111,8 +93,8 @@ def node_text(node: Node, standing: Standing, *, lines: int) -> Text:
         text.append(f"  {node.position_m[0]:.1f}, {node.position_m[1]:.1f} m", style=palette.DIM)
     text.append("\n")
     _processes(text, standing.processes_of(node.name))
-    _peers(text, node)
-    _queues(text, node)
+    _peers(text, node, width)
+    _queues(text, node, width)
     used = len(text.plain.splitlines())
     _section(text, "log")
     for at_s, process, level, message in list(node.log)[-max(2, lines - used - 2) :]:
@@ -145,19 +127,24 @@ def streams_text(model: LiveModel, *, width: int, lines: int) -> Text:
     now_s = model.now_ns / 1e9
     text = Text(no_wrap=True, overflow="ellipsis")
     wide = width >= 62
-    name_width = 34 if width >= 100 else 26 if wide else 17
     percents = (50, 99) if wide else (50,)
-    spark = max(0, min(60, width - name_width - 16 - 9 * len(percents)))
+    name_width = 34 if width >= 100 else 26 if wide else 17
+    free = width - 14 - 9 * len(percents)  # for names and sparklines
+    spark = min(60, free - name_width - 2)
+    if spark < _LEAST_SPARK:
+        name_width, spark = max(8, min(34, free)), 0
     heads = "".join(f"{head:>9}" for head in ("median", "p99")[: len(percents)])
-    text.append(f" {'':<{name_width}}{heads}{'delivered':>13}  last {spark} s\n", style=palette.DIM)
+    history = f"  last {spark} s" if spark else ""
+    text.append(f" {'':<{name_width}}{heads}{'delivered':>13}{history}\n", style=palette.DIM)
 
     def line(name: str, window: LatencyWindow, count: str, colour: str, *, bold: bool, lacks: bool) -> None:
         text.append(f" {name[: name_width - 1]:<{name_width}}", style=f"bold {colour}" if bold else colour)
         for percent in percents:
             latency_s = window.percentile_s(percent, now_s=now_s)
-            text.append(f"{_ms(latency_s):>9}", style=palette.latency(latency_s))
-        text.append(f"{count:>13}  ", style=palette.WARNING if lacks else palette.DIM)
-        text.append(sparkline(window.series_s(spark, now_s=now_s)) + "\n", style=colour)
+            text.append(f"{ms(latency_s):>9}", style=palette.latency(latency_s))
+        text.append(f"{count:>13}", style=palette.WARNING if lacks else palette.DIM)
+        history = f"  {sparkline(window.series_s(spark, now_s=now_s))}" if spark else ""
+        text.append(f"{history}\n", style=colour)
 
     for number, window in sorted(model.priorities.items()):
         line(f"priority {number}", window, str(window.delivered), palette.priority(number), bold=True, lacks=False)
@@ -172,22 +159,32 @@ def streams_text(model: LiveModel, *, width: int, lines: int) -> Text:
     return text
 
 
-def timeline_text(model: LiveModel, standing: Standing, *, lines: int) -> Text:
-    """What has been done, then a line for now, then what comes."""
-    text = Text(no_wrap=True, overflow="ellipsis")
-    coming = _without_repeats(standing.coming)[: max(2, lines // 2)]
-    past = [m for m in model.moments if m.kind not in ("start",)][-max(1, lines - 1 - len(coming)) :]
-    for moment in past:
-        hand = moment.by_hand
-        text.append(f" {moment.at_s:7.1f} ", style=palette.DIM)
-        text.append(f"{'✎ ' if hand else '  '}{moment.label}\n", style=palette.ACCENT if hand else palette.TEXT)
-    t_s = max(0.0, standing.t_s or 0.0)
-    sign = "‖" if standing.held else "▶"
-    text.append(f" {t_s:7.1f} {sign} now ────────────\n", style="bold #e5c453" if standing.held else "bold #35c48d")
-    for row in coming:
-        text.append(f" {row['at_s']:7.1f}   {row['label']}\n", style=palette.DIM)
-    if not coming:
-        text.append("           nothing comes any more\n" if standing.t_s else "", style=palette.DIM)
+def timeline_text(model: LiveModel, standing: Standing, *, width: int, lines: int) -> Text:
+    """What has been done, then a line for now, then what comes; the newest of what there is room for."""
+    past = [
+        _moment_text(moment.at_s, "✎" if moment.by_hand else "", moment.label, width, by_hand=moment.by_hand)
+        for moment in list(model.moments)[-lines:]
+        if moment.kind != "start"
+    ]
+    coming = [
+        _moment_text(row["at_s"], "", row["label"], width, comes=True)
+        for row in _without_repeats(standing.coming)[: max(2, lines // 2)]
+    ]
+    if not coming and standing.t_s:
+        coming = [Text(f"{'':10}nothing comes any more\n", style=palette.DIM)]
+    sign, style = ("‖", "bold #e5c453") if standing.held else ("▶", "bold #35c48d")
+    now = Text(f"{max(0.0, standing.t_s or 0.0):7.1f} {sign} now ────────────\n", style=style)
+    after = Text().join([now, *coming])
+    room = max(1, lines - after.plain.count("\n"))
+    done = Text().join(past).split("\n", include_separator=True, allow_blank=False)[-room:]
+    return Text(no_wrap=True, overflow="ellipsis").join([*done, after])
+
+
+def _moment_text(at_s: float, sign: str, label: str, width: int, *, by_hand: bool = False, comes: bool = False) -> Text:
+    style = palette.DIM if comes else palette.ACCENT if by_hand else palette.TEXT
+    text = Text(f"{at_s:7.1f} {sign:<2}", style=palette.DIM)
+    first, *rest = wrapped(label, width, indent=_TIME_WIDTH) or [""]
+    text.append("\n".join([first.strip(), *rest]) + "\n", style=style)
     return text
 
 
@@ -206,6 +203,12 @@ def _section(text: Text, name: str) -> None:
     text.append(f" {name}\n", style=f"{palette.ACCENT}")
 
 
+def _sentence(text: Text, sentence: str, width: int, style: str) -> None:
+    """In as many lines as it takes."""
+    for line in wrapped(sentence, width, indent=1):
+        text.append(f"{line}\n", style=style)
+
+
 def _processes(text: Text, processes: list[Mapping[str, Any]]) -> None:
     for process in processes:
         state = str(process["state"])
@@ -218,72 +221,55 @@ def _processes(text: Text, processes: list[Mapping[str, Any]]) -> None:
         text.append(" no process\n", style=palette.DIM)
 
 
-def _peers(text: Text, node: Node) -> None:
-    _section(text, f"peers {len(node.online)} online{'':<7}rtt      rate")
+def _peers(text: Text, node: Node, width: int) -> None:
+    name_width = max(8, min(14, width - 24))  # a sign, 8 for the round trip, 13 for the rate
+    head = f"peers {len(node.online)} online"
+    _section(text, f"{head}{'rtt':>{name_width + 10 - len(head)}}{'rate':>13}")
     for name, peer in sorted(node.peers.items(), key=lambda item: (not item[1].online, item[0]))[:8]:
         style = palette.TEXT if peer.online else palette.GONE
-        text.append(f" {'●' if peer.online else '○'} {name:<14}", style=style)
-        text.append(f"{_ms(peer.srtt_s):>9} {_rate(peer.rate_bps):>9}\n" if peer.online else "  offline\n", style=style)
+        text.append(f" {'●' if peer.online else '○'} {name:<{name_width}}", style=style)
+        told = f"{ms(peer.srtt_s):>8}{rate(peer.rate_bps):>13}" if peer.online else f"{'offline':>8}"
+        text.append(f"{told}\n", style=style)
     if len(node.peers) > 8:
         text.append(f"   and {len(node.peers) - 8} more\n", style=palette.DIM)
 
 
-def _queues(text: Text, node: Node) -> None:
+def _queues(text: Text, node: Node, width: int) -> None:
     _section(text, "queues")
     queues = node.queues.by_priority()
     most = max((waiting.size_bytes for waiting in queues.values()), default=1) or 1
     for number, waiting in list(queues.items())[:6]:
         bar = "█" * max(1, round(12 * waiting.size_bytes / most))
         text.append(f" p{number:<2} {bar:<12}", style=palette.priority(number))
-        text.append(f" {_size(waiting.size_bytes):>8} in {waiting.messages}\n", style=palette.TEXT)
+        text.append(f" {size(waiting.size_bytes):>8} in {waiting.messages}\n", style=palette.TEXT)
     if not queues:
         text.append(" empty\n", style=palette.DIM)
     offline = node.queues.offline(node.online)
     stored = node.queues.stored()
     if offline.messages or stored:
         kept = sum(waiting.messages for waiting in stored.values())
-        size = sum(waiting.size_bytes for waiting in stored.values())
-        text.append(f" for peers away: {offline.messages} in memory, {kept} stored", style="#e5c453")
-        text.append(f" ({_size(offline.size_bytes + size)})\n", style=palette.DIM)
+        stored_bytes = sum(waiting.size_bytes for waiting in stored.values())
+        away = (
+            f"for peers away: {offline.messages} in memory, {kept} stored ({size(offline.size_bytes + stored_bytes)})"
+        )
+        _sentence(text, away, width, "#e5c453")
     if node.queues.dropped:
         told = ", ".join(f"{reason} {count}" for reason, count in sorted(node.queues.dropped.items()))
-        text.append(f" dropped: {told}\n", style=palette.WARNING)
+        _sentence(text, f"dropped: {told}", width, palette.WARNING)
     if node.retransmissions:
-        text.append(f" {node.retransmissions} fragments sent again\n", style=palette.DIM)
+        text.append(f" {counted(node.retransmissions, 'fragment')} sent again\n", style=palette.DIM)
 
 
 def _direction_rows(direction: Direction) -> Iterable[tuple[str, str]]:
     yield "state", direction.state.replace("_", " ")
     if direction.snr_db is not None and direction.rssi_dbm is not None:
-        yield "signal", f"{direction.rssi_dbm:.0f} dBm, {direction.snr_db:.0f} dB over noise"
+        yield "signal", f"{direction.rssi_dbm:.0f} dBm, SNR {direction.snr_db:.0f} dB"
     if direction.loss_ratio:
         yield "loss", f"{direction.loss_ratio:.2%}"
     if direction.delay_s:
-        yield "delay", _ms(direction.delay_s)
+        yield "delay", ms(direction.delay_s)
     if direction.rate_bps:
-        yield "rate", _rate(direction.rate_bps)
-
-
-def _ms(value_s: float | None) -> str:
-    if value_s is None:
-        return "-"
-    return f"{value_s * 1e3:.1f} ms" if value_s < 1 else f"{value_s:.1f} s"
-
-
-def _rate(value_bps: float | None) -> str:
-    if not value_bps:
-        return "-"
-    for unit, factor in (("Gbit/s", 1e9), ("Mbit/s", 1e6), ("kbit/s", 1e3)):
-        if value_bps >= factor:
-            return f"{value_bps / factor:.3g} {unit}"
-    return f"{value_bps:.0f} bit/s"
-
-
-def _size(value_bytes: float) -> str:
-    for unit, factor in (("MB", 1e6), ("kB", 1e3)):
-        if value_bytes >= factor:
-            return f"{value_bytes / factor:.3g} {unit}"
-    return f"{value_bytes:.0f} B"
+        yield "rate", rate(direction.rate_bps)
 
 
 LEVELS = {LogLevel.WARNING: palette.WARNING, LogLevel.ERROR: "#e0485f", LogLevel.FATAL: "#e0485f"}

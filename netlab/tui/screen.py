@@ -1,39 +1,32 @@
-"""The main screen: layout, keys, and what each of them does to the lab."""
+"""What the keys of the main screen do to the lab."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rich.text import Text
 from textual import work
-from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal
-from textual.screen import Screen
-from textual.widgets import Static
 
 from netlab.errors import NetlabError
-from netlab.lab.programs import SINK, SOURCE
-from netlab.live.links import Grade
-from netlab.live.model import LiveModel
 from netlab.scenario.quantities import DURATION
-from netlab.tui import palette, panels
+from netlab.tui import offers
 from netlab.tui.dialogs import Choice, Field, Form
-from netlab.tui.key_bar import KeyBar
-from netlab.tui.map_view import MapView
-from netlab.tui.panels import Standing
-from netlab.tui.session import Session, short
-from netlab.tui.tour import Deed, Tour
+from netlab.tui.files import short, unused
+from netlab.tui.scene import places
+from netlab.tui.session import Session
+from netlab.tui.standing import Standing
+from netlab.tui.tour import Deed
+from netlab.tui.watch_screen import WatchScreen
 
-_STATUS_EVERY_S = 0.5
 _WALK_MPS = 1.5
 
 
-class MainScreen(Screen[None]):
-    """One lab on one screen."""
+class MainScreen(WatchScreen):
+    """One lab on one screen, in a person's hands."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("right", "node(1)", "node", key_display="←→"),
@@ -63,161 +56,12 @@ class MainScreen(Screen[None]):
 
     def __init__(self, session: Session, *, captures: Path, rate_hz: float) -> None:
         """``captures``: where further recordings and saved scenarios go."""
-        super().__init__()
-        self.session = session
-        self.model = LiveModel()
-        self.standing = Standing()
-        self.tour: Tour | None = None
+        super().__init__(session, rate_hz=rate_hz)
         self._captures = captures
-        self._rate_hz = rate_hz
-        #: The report, once the scenario is over.
-        self.verdict = ""
-
-    # -- layout and drawing ---------------------------------------------------------------------------------------
-
-    def compose(self) -> ComposeResult:
-        """Lay it out."""
-        yield Static("", id="head")
-        with Horizontal(id="above"):
-            yield MapView(self.model, relays=self.session.carriers, id="map")
-            yield Static("", id="detail")
-        with Horizontal(id="below"):
-            yield Static("", id="streams")
-            yield Static("", id="timeline")
-        yield Static("", id="tour")
-        yield Static("", id="said")
-        yield KeyBar(id="keys")
-
-    def on_mount(self) -> None:
-        """Begin to look."""
-        self.map.focus()
-        for name, title in (("detail", "node"), ("streams", "latency by priority"), ("timeline", "timeline")):
-            self.query_one(f"#{name}", Static).border_title = title
-        self.map.border_title = "map"
-        grades = (Grade.GOOD, Grade.FAIR, Grade.POOR, Grade.DOWN)
-        self.map.border_subtitle = "  ".join(f"[{palette.GRADES[g]}]{palette.SIGNS[g]}[/] {g}" for g in grades)
-        self.set_interval(1 / self._rate_hz, self._look)
-        self.set_interval(1.0, self._draw_panels)
-        self._watch_status()
-
-    @property
-    def map(self) -> MapView:
-        """The map."""
-        return self.query_one(MapView)
-
-    def _look(self) -> None:
-        """Take in what has been recorded, and draw the map."""
-        self.model.describe(self.session.metadata())
-        for record in self.session.records():
-            self.model.take(record)
-        if self.map.chosen is None and self.model.nodes and not self.standing.t_s:
-            self._draw_panels()
-        self.map.update_map()
-
-    def _draw_panels(self) -> None:
-        head = self.query_one("#head", Static)
-        head.update(panels.head_text(self.model, self.standing, self.size.width))
-        for name, make in self._panels().items():
-            widget = self.query_one(f"#{name}", Static)
-            if widget.content_size.width > 0:
-                widget.update(make(widget.content_size.width, widget.content_size.height))
-
-    def _panels(self) -> Mapping[str, Callable[[int, int], Text]]:
-        return {
-            "detail": self._detail,
-            "streams": lambda width, lines: panels.streams_text(self.model, width=width, lines=lines),
-            "timeline": lambda _width, lines: panels.timeline_text(self.model, self.standing, lines=lines),
-        }
-
-    def _detail(self, _width: int, lines: int) -> Text:
-        chosen = self.map.chosen
-        detail = self.query_one("#detail", Static)
-        detail.border_title = "link" if isinstance(chosen, frozenset) else "node"
-        if isinstance(chosen, frozenset) and chosen in self.model.links:
-            return panels.link_text(self.model.links[chosen])
-        if isinstance(chosen, str) and chosen in self.model.nodes:
-            return panels.node_text(self.model.nodes[chosen], self.standing, lines=lines)
-        if self.verdict:
-            return Text(self.verdict)
-        return panels.overview_text(self.model, self.standing)
-
-    @work(exclusive=True, group="status")
-    async def _watch_status(self) -> None:
-        """Ask the supervisor now and then, until the scenario is judged."""
-        while True:
-            try:
-                self.standing = Standing.of(await asyncio.to_thread(self.session.status))
-            except NetlabError as error:
-                self._say(str(error), bad=True)
-            if self.standing.phase == "finished":
-                break
-            await asyncio.sleep(_STATUS_EVERY_S)
-        self.verdict = await asyncio.to_thread(self.session.report)
-        self.map.chosen = None
-        self.query_one("#detail", Static).border_title = "result"
-        self._say("The scenario is over; its result is on the right. q quits.")
-        self._draw_panels()
-
-    def _say(self, text: str, *, bad: bool = False) -> None:
-        style = palette.WARNING if bad else palette.TEXT
-        self.query_one("#said", Static).update(Text(f" {text.splitlines()[0] if text else ''}", style=style))
-
-    # -- choosing -------------------------------------------------------------------------------------------------
-
-    def action_node(self, step: int) -> None:
-        """Go to the next node; while a robot is being moved, its target goes aside."""
-        if self.map.target_m is not None:
-            self._shift(step, 0)
-            return
-        names = [name for name, node in self.model.nodes.items() if node.active] or list(self.model.nodes)
-        chosen = self.map.chosen
-        if names:
-            place = names.index(chosen) + step if isinstance(chosen, str) and chosen in names else min(0, step)
-            self._choose(names[place % len(names)])
-
-    def action_link(self, step: int) -> None:
-        """Go to the next link; while a robot is being moved, its target goes up or down."""
-        if self.map.target_m is not None:
-            self._shift(0, -step)
-            return
-        keys = [frozenset((link.a, link.b)) for link in self.model.shown_links()]
-        chosen = self.map.chosen
-        if keys:
-            place = keys.index(chosen) + step if isinstance(chosen, frozenset) and chosen in keys else min(0, step)
-            self._choose(keys[place % len(keys)])
-
-    def on_map_view_picked(self, event: MapView.Picked) -> None:
-        """A click: choose what was clicked, or say where a robot shall go."""
-        if self.map.target_m is not None:
-            self.map.target_m = event.place_m
-            self.map.update_map()
-        elif event.chosen is not None:
-            self._choose(event.chosen)
-
-    def _choose(self, chosen: str | frozenset[str]) -> None:
-        self.map.chosen = chosen
-        self.map.update_map()
-        self._draw_panels()
-        self._saw(Deed.LINK if isinstance(chosen, frozenset) else Deed.NODE)
-
-    def _chosen_link(self) -> tuple[str, str] | None:
-        chosen = self.map.chosen
-        if isinstance(chosen, frozenset):
-            a, b = sorted(chosen)
-            return a, b
-        self._say("Pick a link first: ↓ or a click on it.", bad=True)
-        return None
-
-    def _chosen_node(self) -> str | None:
-        if isinstance(self.map.chosen, str):
-            return self.map.chosen
-        self._say("Pick a node first: → or a click on it.", bad=True)
-        return None
-
-    # -- acts -----------------------------------------------------------------------------------------------------
 
     @work(group="acts")
     async def _act(self, said: str, deed: Deed | None, do: str, **values: Any) -> None:
+        """Do something to the lab, and tell how that went."""
         try:
             reply = await asyncio.to_thread(self.session.act, do, **values)
             self.standing = Standing.of(await asyncio.to_thread(self.session.status))
@@ -230,6 +74,16 @@ class MainScreen(Screen[None]):
         self._draw_panels()
         if deed is not None:
             self._saw(deed)
+
+    # -- links ----------------------------------------------------------------------------------------------------
+
+    def _chosen_link(self) -> tuple[str, str] | None:
+        chosen = self.map.chosen
+        if isinstance(chosen, frozenset):
+            a, b = sorted(chosen)
+            return a, b
+        self._say("Pick a link first: ↓ or a click on it.", bad=True)
+        return None
 
     def action_cut(self) -> None:
         """Cut the link, or restore it."""
@@ -271,20 +125,20 @@ class MainScreen(Screen[None]):
             told = ", ".join(f"{key} {value}" for key, value in words.items())
             self._act(f"{ends[0]}-{ends[1]}: {told}", Deed.DEGRADE, "link", between=list(ends), words=words)
 
+    # -- nodes ----------------------------------------------------------------------------------------------------
+
+    def _chosen_node(self) -> str | None:
+        if isinstance(self.map.chosen, str):
+            return self.map.chosen
+        self._say("Pick a node first: → or a click on it.", bad=True)
+        return None
+
     def action_move(self) -> None:
         """Begin to move the node: arrows or a click say where to."""
         name = self._chosen_node()
         if name is not None:
-            self.map.target_m = self.map.places()[name]
-            self.map.update_map()
-            self._say(f"Move {name}: arrows or a click; Enter puts it there, g sends it walking, Esc leaves it.")
-
-    def _shift(self, right: int, up: int) -> None:
-        assert self.map.target_m is not None
-        across, down = self.map.cell_m
-        x, y = self.map.target_m
-        self.map.target_m = (x + right * across, y + up * down)
-        self.map.update_map()
+            self._aim(places(self.model)[name])
+            self._say(f"Move {name}: arrows or a click; Enter: put it there, g: send it, Esc: leave it")
 
     def action_enter(self) -> None:
         """Put the node there at once; elsewhere, the tour's next step."""
@@ -305,29 +159,11 @@ class MainScreen(Screen[None]):
         said = f"{name} {'walks' if speed_mps else 'moved'} to {to[0]:g}, {to[1]:g}"
         self._act(said, None, "move", node=name, to=to, speed_mps=speed_mps)
 
-    def action_back(self) -> None:
-        """Leave the move, the tour, the choice: one at a time."""
-        if self.map.target_m is not None:
-            self.map.target_m = None
-            self._say("")
-        elif self.tour is not None:
-            self.tour = None
-            self._draw_tour()
-        else:
-            self.map.chosen = None
-        self.map.update_map()
-        self._draw_panels()
-
     @work
     async def action_deploy(self) -> None:
         """Drop a relay; of several, ask which."""
-        waiting = {
-            name: carrier
-            for name, carrier in self.session.carriers.items()
-            if name not in self.model.nodes or not self.model.nodes[name].active
-        }
-        mine = {name: carrier for name, carrier in waiting.items() if self.map.chosen in (name, carrier)}
-        names = list(mine or waiting)
+        waiting = offers.waiting_relays(self.model, self.session.carriers, self.map.chosen)
+        names = list(waiting)
         if not names:
             self._say("Nobody carries a relay any more." if self.session.carriers else "Nobody carries a relay here.")
             return
@@ -351,11 +187,10 @@ class MainScreen(Screen[None]):
         node = self._chosen_node()
         if node is None:
             return
-        processes = self.standing.processes_of(node)
-        own = [process for process in processes if process["process"] not in (SOURCE, SINK)]  # the rest is the lab's
-        names = [str(process["process"]) for process in own if fits(str(process["state"]))]
+        own = offers.own_processes(self.standing, node)
+        names = offers.process_names(own, fits)
         if not names:
-            self._say(f"{node} has no such process: {_listed(own)}", bad=True)
+            self._say(f"{node} has no such process: {offers.told_states(own)}", bad=True)
             return
         name = names[0] if len(names) == 1 else await self.app.push_screen_wait(Choice(question, names))
         if name is not None:
@@ -377,6 +212,8 @@ class MainScreen(Screen[None]):
                 print(error)
         self.refresh()
 
+    # -- the timeline and the recording ---------------------------------------------------------------------------
+
     def action_hold(self) -> None:
         """Let the timeline stand still, or go on."""
         if self.standing.held:
@@ -391,19 +228,19 @@ class MainScreen(Screen[None]):
     @work
     async def action_mark(self) -> None:
         """Ask for a word, and mark the moment at which the key was pressed."""
-        at_s = self.standing.t_s or 0.0
-        answer = await self.app.push_screen_wait(
-            Form("Mark this moment", [Field("text", "what is it?", f"mark {at_s:.0f} s")])
-        )
+        pressed_s, at_s = time.monotonic(), self.standing.t_s or 0.0
+        field = Field("text", "what is it?", f"mark {at_s:.0f} s")
+        answer = await self.app.push_screen_wait(Form("Mark this moment", [field]))
         if answer is not None:
-            self._act(f"Marked: {answer['text']}", Deed.MARK, "mark", text=answer["text"])
+            text, ago_s = answer["text"] or field.value, time.monotonic() - pressed_s
+            self._act(f"Marked: {text}", Deed.MARK, "mark", text=text, ago_s=ago_s)
 
     def action_record(self) -> None:
         """End the recording, or begin another one."""
         if self.standing.recording:
             self._act("The recording is finished", None, "record", file=None)
         else:
-            file = _unused(self._captures, self.session.title, ".mcap")
+            file = unused(self._captures, self.session.title, ".mcap")
             self._act(f"Recording to {file.name}", None, "record", file=str(file))
 
     def action_undo(self) -> None:
@@ -413,49 +250,16 @@ class MainScreen(Screen[None]):
     @work
     async def action_save(self) -> None:
         """Ask for a file, and save what was done as a scenario."""
-        proposed = _unused(self._captures, f"{self.session.title}-replay", ".yaml")
-        answer = await self.app.push_screen_wait(
-            Form("Save all that was done as a scenario", [Field("file", "file", short(proposed))])
-        )
+        field = Field("file", "file", short(unused(self._captures, f"{self.session.title}-replay", ".yaml")))
+        answer = await self.app.push_screen_wait(Form("Save all that was done as a scenario", [field]))
         if answer is None:
             return
-        file = Path(answer["file"])
+        name = answer["file"] or field.value
+        file = Path(name).expanduser()
         try:
             left_out = await asyncio.to_thread(self.session.save, file.resolve())
         except NetlabError as error:
             self._say(str(error), bad=True)
             return
-        self._say(f"Saved: netlab run {answer['file']}" + "".join(f"  (left out: {text})" for text in left_out))
+        self._say(f"Saved: netlab run {name}" + "".join(f"  (left out: {text})" for text in left_out))
         self._saw(Deed.SAVE)
-
-    # -- the tour -------------------------------------------------------------------------------------------------
-
-    def action_tour(self) -> None:
-        """Begin the tour, or leave it."""
-        self.tour = Tour() if self.tour is None else None
-        self._draw_tour()
-
-    def _saw(self, deed: Deed) -> None:
-        if self.tour is not None and self.tour.saw(deed):
-            self._draw_tour()
-
-    def _draw_tour(self) -> None:
-        panel = self.query_one("#tour", Static)
-        step = self.tour.step if self.tour is not None else None
-        if step is None:
-            self.tour = None
-            panel.display = False
-            return
-        panel.display = True
-        assert self.tour is not None
-        panel.update(panels.tour_text(step.title, step.text, self.tour.place))
-
-
-def _listed(processes: Sequence[Mapping[str, Any]]) -> str:
-    return ", ".join(f"{process['process']} is {process['state']}" for process in processes) or "it runs nothing"
-
-
-def _unused(folder: Path, stem: str, suffix: str) -> Path:
-    """A file in a folder that is not there yet."""
-    names = (f"{stem}{suffix}", *(f"{stem}-{number}{suffix}" for number in range(2, 10_000)))
-    return next(path for name in names if not (path := folder / name).exists())

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from netlab.capture.records import Record
 from netlab.cli.terminal import exec_with_terminal
 from netlab.errors import NetlabError
+from netlab.lab.commands import exec_request
 from netlab.lab.facade import Lab
 from netlab.live.feed import Feed
 
 _MOST_MESSAGES = 20_000  # taken at once, so that a flood of records does not freeze the screen
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a run went: ``brief`` for a panel, the whole ``report`` for when the screen is gone."""
+
+    brief: str
+    report: str
 
 
 class Session(Protocol):
@@ -52,7 +62,7 @@ class Session(Protocol):
     def shell(self, node: str) -> None:
         """A shell in a node, on this terminal."""
 
-    def report(self) -> str:
+    def judge(self) -> Verdict:
         """The verdict, once the scenario has come to its end."""
 
     def close(self) -> None:
@@ -118,26 +128,21 @@ class LabSession:
         """A shell in a node, on this terminal; returns at its end."""
         env = {key: os.environ[key] for key in ("TERM", "LANG", "COLORTERM", "LC_ALL") if key in os.environ}
         argv = [os.environ.get("SHELL") or "/bin/sh"]
-        request = {"do": "exec", "node": node, "argv": argv, "env": env, "cwd": str(Path.cwd())}
-        exec_with_terminal(self.lab.connect(), request)
+        exec_with_terminal(self.lab.connect(), exec_request(node, argv, env))
 
-    def report(self) -> str:
+    def judge(self) -> Verdict:
         """The verdict, once the scenario has come to its end."""
         try:
-            report = self.lab.finish().report()
+            result = self.lab.finish()
         except NetlabError as error:
-            return str(error)
-        if self._interrupted:
-            return f"{report}\n\nthe recording was interrupted: this is what {self.lab.capture.name} holds"
-        return report
+            return Verdict(str(error), str(error))
+        remark = f"the recording was interrupted: this is what {self.lab.capture.name} holds"
+        remarks = [remark] if self._interrupted else []
+        brief, report = ("\n\n".join(filter(None, [text, *remarks])) for text in (result.brief(), result.report()))
+        return Verdict(brief or "nothing was expected, and nothing went wrong", report)
 
     def close(self) -> None:
         """End it."""
         if self._feed is not None:
             self._feed.close()
         self.lab.close()
-
-
-def short(path: Path) -> str:
-    """A path as a person would write it here: relative where that is possible."""
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)

@@ -9,6 +9,7 @@ from typing import Any
 
 from netlab.capture.records import JsonRecord, Record, kind_of
 from netlab.errors import LabError
+from netlab.tui.session import Verdict
 
 T0_NS = 1_800_000_000_000_000_000
 
@@ -97,9 +98,9 @@ class FakeSession:
     def shell(self, node: str) -> None:
         """Nothing to see."""
 
-    def report(self) -> str:
-        """A verdict."""
-        return "met  everything"
+    def judge(self) -> Verdict:
+        """A verdict, in a line that is wider than a narrow panel."""
+        return Verdict("expectations\n  met      everything that was hoped for, and a bit more", "the whole report")
 
     def close(self) -> None:
         """Note it."""

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netlab.tui.braille import Layer, characters
-from netlab.tui.projection import distance_to_line, fit, in_a_circle, nearest
+from netlab.tui.projection import Bounds, distance_to_line, fit, in_a_circle, nearest
 from netlab.tui.tour import STEPS, Deed, Tour
 
 coordinates = st.floats(-1000, 1000)
@@ -37,7 +37,7 @@ def test_gaps_leave_dots_out() -> None:
 
 @given(st.lists(st.tuples(coordinates, coordinates), min_size=1, max_size=20), st.integers(20, 200), st.integers(8, 60))
 def test_all_places_are_on_the_screen_and_come_back(points: list[tuple[float, float]], columns: int, rows: int) -> None:
-    projection = fit(points, columns, rows)
+    projection = fit(Bounds.of(points), columns, rows)
     for point in points:
         column, row = projection.cell(point)
         assert 0 <= column < columns

@@ -71,10 +71,10 @@ def test_nodes_and_links_are_picked_in_turn() -> None:
 
 def test_a_click_picks_what_is_there() -> None:
     async def script(pilot: Pilot[Any], _session: FakeSession, screen: MainScreen) -> None:
-        column, row = screen.map._projection.cell((60.0, 0.0))
+        column, row = screen.map.projection.cell((60.0, 0.0))
         await pilot.click("#map", offset=(column + 1, row + 1))  # the border is one cell wide
         assert screen.map.chosen == "robot"
-        column, row = screen.map._projection.cell((30.0, 0.0))
+        column, row = screen.map.projection.cell((30.0, 0.0))
         await pilot.click("#map", offset=(column + 1, row + 1))
         assert screen.map.chosen == frozenset(("base", "robot"))
 
@@ -186,7 +186,15 @@ def test_the_verdict_comes_at_the_end() -> None:
     async def script(pilot: Pilot[Any], session: FakeSession, screen: MainScreen) -> None:
         session.phase = "finished"
         await until(pilot, lambda: screen.verdict)
-        assert "met  everything" in str(screen.query_one("#detail", Static).render())
+        detail = screen.query_one("#detail", Static)
+        await until(pilot, lambda: "everything" in str(detail.render()))
+        await pilot.pause(1.1)  # the panels are drawn again every second
+        assert detail.border_title == "result"
+        told = str(detail.render())
+        assert "a bit more" in " ".join(told.split())  # nothing is cut off
+        assert max(map(len, told.splitlines())) <= detail.content_size.width
+        assert isinstance(pilot.app, LabApp)
+        assert pilot.app.farewell() == "the whole report\n\n"
 
     walk(script)
 
