@@ -68,6 +68,7 @@ class _Sent(NamedTuple):
 
     fragment: tuple[int, Interface, int, int, int, int, int]
     tag: int | None  # of the destination; None for everybody
+    address: str  # of a broadcast
     packet_number: int
     frame_bytes: int
 
@@ -146,16 +147,17 @@ class _Loader:
             return
         datagram = udp_of(record.frame, record.linktype)
         mesh = mesh_of(datagram) if datagram else None
-        if mesh is None:
+        if datagram is None or mesh is None:
             return
         self._nodes[tag_of(mesh.epoch)] = record.node
-        here, tag = (record.node, record.interface), None if mesh.is_broadcast else mesh.destination_tag
+        here = (record.node, record.interface)
+        tag, address = (None, datagram.destination) if mesh.is_broadcast else (mesh.destination_tag, "")
         for piece in mesh.fragments:
             message_id, priority, _, index, count, _, _ = piece
             if header := traffic_in(piece):
                 self._messages[record.node, mesh.epoch, message_id] = (header.stream, header.seq)
             fragment = (record.t_ns, here, mesh.epoch, message_id, index, count, priority)
-            self._sent.append(_Sent(fragment, tag, mesh.packet_number, record.original_length))
+            self._sent.append(_Sent(fragment, tag, address, mesh.packet_number, record.original_length))
 
     def verdict(self, record: VerdictRecord, count: int) -> None:
         """Take what the medium decided of ``count`` frames alike."""
@@ -181,7 +183,7 @@ class _Loader:
         copied_as = (node, destination, sent.packet_number, message_id, index)
         is_copy = self._trace.daemons.is_copy(copied_as, t_ns)
         message = self._messages.get((node, epoch, message_id))
-        return Fragment(*sent.fragment, destination, sent.frame_bytes, message, is_copy)
+        return Fragment(*sent.fragment, destination, sent.frame_bytes, message, is_copy, sent.address)
 
     def _step(self, record: JsonRecord) -> None:
         restores, *meshed = (record.payload.get(key) for key in ("restores", "reroutes", "rejoins"))
