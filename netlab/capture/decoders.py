@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 from netlab.capture import batman, flood, wnet
@@ -127,5 +128,6 @@ def traffic_in(fragment: DataFragment) -> TrafficHeader | None:
     return traffic_of(opened[1]) if opened is not None else None
 
 
+@lru_cache(maxsize=1024)
 def _dotted(address: bytes) -> str:
     return f"{address[0]}.{address[1]}.{address[2]}.{address[3]}"

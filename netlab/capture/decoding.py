@@ -58,16 +58,16 @@ def decoder_for(channel: Channel, schema: str) -> Decoder | None:
 
 
 def _packet_decoder() -> Decoder:
-    message = _message_class(packet_file())
-    direction = {member.value: member for member in Direction}
+    parse = cast(Callable[[bytes], _Packet], _message_class(packet_file()).FromString)
+    direction, unknown = {member.value: member for member in Direction}, Direction.UNKNOWN
 
     def decode(log_ns: int, data: bytes) -> PacketRecord:
-        packet = cast(_Packet, message.FromString(data))
+        packet = parse(data)
         return PacketRecord(
             log_ns,
             packet.node,
             packet.interface,
-            direction.get(packet.direction, Direction.UNKNOWN),
+            direction.get(packet.direction, unknown),
             packet.linktype,
             packet.original_length,
             packet.frame_crc32,
@@ -78,11 +78,11 @@ def _packet_decoder() -> Decoder:
 
 
 def _verdict_decoder() -> Decoder:
-    message = _message_class(verdict_file())
+    parse = cast(Callable[[bytes], _Verdict], _message_class(verdict_file()).FromString)
     verdicts = {member.value: member for member in Verdict}
 
     def decode(log_ns: int, data: bytes) -> VerdictRecord:
-        record = cast(_Verdict, message.FromString(data))
+        record = parse(data)
         verdict = verdicts.get(record.verdict)
         if verdict is None:
             raise ValueError(f"there is no verdict {record.verdict}")

@@ -6,28 +6,28 @@ left out of the records.
 
 from __future__ import annotations
 
-import struct
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 
 from google.protobuf.message import DecodeError
-from mcap.opcode import Opcode
 from mcap.records import Channel
 
 from netlab.capture import scan as scanning
 from netlab.capture.decoding import Decoder, decoder_for
-from netlab.capture.records import Kind, Record, kind_of
+from netlab.capture.records import Kind, Record, VerdictRecord, kind_of
+from netlab.capture.sieve import Sieve
 from netlab.errors import CaptureError
 
 METADATA_NAME = "netlab.run"
 LOSSES_NAME = "netlab.losses"
 #: Told how many of how many parts of a file have been read.
 OnRead = Callable[[int, int], None]
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_BY_TIME = itemgetter(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +126,8 @@ class Capture:
         nodes: Collection[str] | None = None,
         start_ns: int = 0,
         end_ns: int = 1 << 64,
+        tally: Callable[[VerdictRecord, int], None] | None = None,
+        with_inbound: bool = True,
     ) -> Iterator[Record]:
         """Yield records in the order of time.
 
@@ -135,58 +137,71 @@ class Capture:
             nodes: Only topics of these nodes (verdicts have none); None for all.
             start_ns: From here on, CLOCK_REALTIME.
             end_ns: Up to before here.
+            tally: Is told, in the end and in no order, of verdicts that differ in nothing but ``t_ns``, ``departs_ns``
+                and ``crc32`` (then 0) and how many they were. No verdict is yielded then. For counting, far quicker.
+            with_inbound: Without, packets that came in at their interface are left out.
         """
-        wanted: dict[int, Decoder] = {}
-        for number, channel in self._scan.channels.items():
-            node = channel.topic.split("/")[1] if channel.topic.count("/") > 1 else ""
-            chosen = (topics is None or channel.topic in topics) and (nodes is None or node in nodes)
-            kind = kind_of(channel.topic)
-            if (
-                chosen
-                and (kinds is None or kind in kinds)
-                and (decoder := decoder_for(channel, self._topic(channel).schema))
-            ):
-                wanted[number] = decoder
-        for number, log_ns, data in self._messages(set(wanted), start_ns, end_ns):
-            try:
-                yield wanted[number](log_ns, data)
-            except (DecodeError, ValueError):
-                self._note(f"{self.path}: a message on {self._scan.channels[number].topic} is damaged; left out")
+        wanted = self._decoders(kinds, topics, nodes)
+        counted = self._decoders({Kind.VERDICT}, topics, nodes) if tally is not None else {}
+        sieve = Sieve(counted, () if with_inbound else self._decoders({Kind.PACKET}, topics, nodes))
+        for log_ns, number, data in self._messages({*wanted, *counted}, start_ns, end_ns, sieve):
+            if (record := self._decoded(wanted[number], number, log_ns, data)) is not None:
+                yield record
+        for (number, shape), count in sieve.shapes.items():
+            record = self._decoded(counted[number], number, 0, shape)
+            if tally is not None and isinstance(record, VerdictRecord):
+                tally(record, count)
 
     def counts(self) -> Counter[str]:
         """Messages per topic."""
         counted: Counter[str] = Counter()
-        for number, _, _ in self._messages(set(self._scan.channels), 0, 1 << 64):
+        for _, number, _ in self._messages(set(self._scan.channels)):
             counted[self._scan.channels[number].topic] += 1
         return counted
 
-    def _messages(self, numbers: set[int], start_ns: int, end_ns: int) -> Iterator[tuple[int, int, bytes]]:
-        """Merge chunks, which overlap in time, into one order: (channel, time, data)."""
-        pending: list[tuple[int, int, int, bytes]] = []
-        serial = 0  # keeps the order of writing among equal times
+    def _decoders(
+        self, kinds: Collection[Kind] | None, topics: Collection[str] | None, nodes: Collection[str] | None
+    ) -> dict[int, Decoder]:
+        """Of the channels of these kinds, topics and nodes, by channel; None is all."""
+        wanted = {}
+        for number, channel in self._scan.channels.items():
+            node = channel.topic.split("/")[1] if channel.topic.count("/") > 1 else ""
+            chosen = (topics is None or channel.topic in topics) and (nodes is None or node in nodes)
+            if chosen and (kinds is None or kind_of(channel.topic) in kinds):
+                decoder = decoder_for(channel, self._topic(channel).schema)
+                if decoder is not None:
+                    wanted[number] = decoder
+        return wanted
+
+    def _decoded(self, decoder: Decoder, channel: int, log_ns: int, data: bytes) -> Record | None:
+        try:
+            return decoder(log_ns, data)
+        except (DecodeError, ValueError):
+            self._note(f"{self.path}: a message on {self._scan.channels[channel].topic} is damaged; left out")
+            return None
+
+    def _messages(
+        self,
+        numbers: set[int],
+        start_ns: int = 0,
+        end_ns: int = 1 << 64,
+        sieve: Sieve | None = None,
+    ) -> Iterator[scanning.Message]:
+        """Merge chunks, which overlap in time, into one order."""
+        pending: list[scanning.Message] = []
         places = sorted(self._scan.chunks, key=lambda place: place.start_ns)
         for number, place in enumerate(places):
             self._on_read(number, len(places))
             if place.end_ns < start_ns or place.start_ns >= end_ns or not _may_hold(place, numbers):
                 continue
             done = bisect_left(pending, (place.start_ns,))
-            for log_ns, _, number, data in pending[:done]:
-                yield number, log_ns, data
+            yield from pending[:done]
             del pending[:done]
-            for number, log_ns, data in self._chunk_messages(place):
-                if number in numbers and start_ns <= log_ns < end_ns:
-                    pending.append((log_ns, serial, number, data))
-                    serial += 1
-            pending.sort()
-        for log_ns, _, number, data in pending:
-            yield number, log_ns, data
-
-    def _chunk_messages(self, place: scanning.ChunkPlace) -> Iterator[tuple[int, int, bytes]]:
-        data = self._read(place)
-        for opcode, start, length in scanning.records_in(data):
-            if opcode == Opcode.MESSAGE:
-                number, _, log_ns, _ = _MESSAGE.unpack_from(data, start)
-                yield number, log_ns, data[start + _MESSAGE.size : start + length]
+            found = scanning.messages_in(self._read(place), numbers)
+            timely = (message for message in found if start_ns <= message[0] < end_ns)
+            pending += sieve.sift(timely) if sieve is not None else timely
+            pending.sort(key=_BY_TIME)  # stable: equal times keep the order of writing
+        yield from pending
 
     def _declare_all(self) -> None:
         """A sound file repeats its channels in the summary; a torn one has them in its chunks only."""

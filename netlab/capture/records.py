@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from netlab.capture.schemas import Direction, LogLevel
 from netlab.medium.verdicts import Verdict
@@ -48,8 +49,7 @@ def kind_of(topic: str) -> Kind:
     return Kind.EVENT
 
 
-@dataclass(frozen=True, slots=True)
-class PacketRecord:
+class PacketRecord(NamedTuple):
     """One link-layer frame as one interface saw it."""
 
     t_ns: int
@@ -62,8 +62,7 @@ class PacketRecord:
     frame: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class VerdictRecord:
+class VerdictRecord(NamedTuple):
     """The medium's decision on one frame for one receiver; ``departs_ns`` is 0 when it was dropped.
 
     ``attempts`` and ``rssi_dbm`` are an 802.11 radio's: how often it was sent, how strongly the receiver hears the

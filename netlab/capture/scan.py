@@ -9,7 +9,7 @@ import io
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -24,10 +24,16 @@ from netlab.capture.record_file import MAGIC
 from netlab.errors import CaptureError
 
 _HEAD = struct.Struct("<BQ")
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_MESSAGE = int(Opcode.MESSAGE)
 _CHUNK = struct.Struct("<QQQI")  # start, end, uncompressed size, uncompressed crc
 _INDEX_CHANNEL = struct.Struct("<H")
 _MAX_UNCOMPRESSED = 1 << 30
 _DAMAGE = (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError, MemoryError, OverflowError)
+
+
+#: Log time in ns, channel, content.
+Message = tuple[int, int, bytes]
 
 
 @dataclass(slots=True)
@@ -154,6 +160,19 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
             return
         yield opcode, offset, length
         offset += length
+
+
+def messages_in(data: bytes, channels: Container[int]) -> Iterator[Message]:
+    """Yield the messages of some channels in a chunk's data, in the order of writing."""
+    head_bytes, start, size = _MESSAGE_HEAD.size, 0, len(data)
+    while start + head_bytes <= size:
+        opcode, length, channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data, start)
+        end = start + _HEAD.size + length
+        if end > size:
+            return
+        if opcode == _MESSAGE and channel in channels:
+            yield log_ns, channel, data[start + head_bytes : end]
+        start = end
 
 
 def declare(found: Scan, data: bytes) -> None:

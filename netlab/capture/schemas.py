@@ -197,7 +197,9 @@ def json_schema_for(topic: str) -> Schema:
 
 # Tag = field number << 3 | wire type (5: fixed32, 1: fixed64, 0: varint, 2: length-delimited).
 _PACKET_HEAD = struct.Struct("<BIBIBIBB")
+_INBOUND = bytes((0x20, Direction.INBOUND))
 _VERDICT_TAIL = struct.Struct("<BBBQBIBI")
+_VERDICT_TAGS = (0x28, 0x31, 0x3D, 0x45)
 
 
 def encode_packet(
@@ -210,6 +212,11 @@ def encode_packet(
     """
     head = _PACKET_HEAD.pack(0x0D, crc32, 0x15, original_length, 0x1D, linktype, 0x20, direction)
     return head + names + b"\x3a" + varint(frame_length)
+
+
+def is_inbound(data: bytes) -> bool:
+    """Whether these are the bytes of a ``netlab.Packet`` from :func:`encode_packet` that came in."""
+    return data[15:17] == _INBOUND and data[:1] == b"\x0d" and data[5:6] == b"\x15" and data[10:11] == b"\x1d"
 
 
 def encode_packet_names(node: str, interface: str) -> bytes:
@@ -225,6 +232,25 @@ def encode_verdict_ends(sender: tuple[str, str], receiver: tuple[str, str]) -> b
 def encode_verdict(ends: bytes, verdict: int, departs_ns: int, length: int, crc32: int) -> bytes:
     """Encode one ``netlab.Verdict``; ``ends`` is from :func:`encode_verdict_ends`."""
     return ends + _VERDICT_TAIL.pack(0x28, verdict, 0x31, departs_ns, 0x3D, length, 0x45, crc32)
+
+
+def verdict_shape(data: bytes) -> bytes:
+    """Return a ``netlab.Verdict`` without ``departs_ns`` and ``crc32``, which tell one frame from the next.
+
+    It decodes like any other, and equal shapes can be counted before they are. What :func:`encode_verdict` would have
+    laid out otherwise is returned as it is.
+    """
+    try:
+        at = data[1] + 2  # behind each of the four names
+        at += data[at + 1] + 2
+        at += data[at + 1] + 2
+        at += data[at + 1] + 2
+        tags = (data[at], data[at + 2], data[at + 11], data[at + 16])
+    except IndexError:
+        return data
+    end = at + _VERDICT_TAIL.size
+    is_ours = tags == _VERDICT_TAGS and end <= len(data)
+    return data[: at + 2] + data[at + 11 : at + 16] + data[end:] if is_ours else data
 
 
 def encode_attempts(attempts: int, rssi_dbm: int) -> bytes:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from netlab.capture.layout import layout_file
+from netlab.lab.facade import Lab
 from netlab.live.feed import follow_lab
 from netlab.live.foxglove import DEFAULT_PORT, FoxgloveServer, require_foxglove
 
@@ -54,6 +56,20 @@ def with_foxglove(command: Any) -> Any:
         help=f"Show it live to Foxglove at 127.0.0.1:PORT ({DEFAULT_PORT} if none follows; write it last, or with =).",
     )
     return option(command)
+
+
+@contextlib.contextmanager
+def shown(lab: Lab, port: int | None) -> Iterator[FoxgloveServer | None]:
+    """Show a running lab to Foxglove at a port of this machine (0: any that is free), if that was asked for.
+
+    Raises:
+        MachineError: foxglove-sdk is not installed, or the port is taken.
+    """
+    if port is None:
+        yield None
+        return
+    with FoxgloveServer(lab.feed(packets=True), name=lab.name, port=port) as server:
+        yield server
 
 
 def announce(server: FoxgloveServer) -> None:

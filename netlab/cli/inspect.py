@@ -8,11 +8,13 @@ from pathlib import Path
 
 import click
 
+from netlab.capture.reader import Capture
 from netlab.capture.records import Kind
 from netlab.capture.view import Filter
 from netlab.cli.quantities import SECONDS
 from netlab.inspect import questions
 from netlab.inspect.choose import HELP as MESSAGE_HELP
+from netlab.inspect.names import unknown_names
 from netlab.inspect.overview import overview
 from netlab.inspect.questions import Asked
 from netlab.inspect.table import Format
@@ -107,6 +109,11 @@ def inspect(
         answer["--summary"] = lambda: overview(asked)
     if len(answer) > 1:
         raise click.UsageError(f"one question at a time: {' or '.join(answer)}")
+    if from_s is not None and to_s is not None and from_s >= to_s:
+        raise click.UsageError(f"there is no time from {from_s:g} s to before {to_s:g} s")
+    with Capture.open(file) as capture:
+        for remark in unknown_names(capture, chosen):
+            asked.note(remark)
     for line in next(iter(answer.values()), lambda: _without_question(asked))():
         click.echo(line)
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from netlab.cli.foxglove import shown, with_foxglove
 from netlab.cli.run import run_with_status
 from netlab.cli.up import with_scenario_options
 from netlab.errors import LabError, MachineError
 from netlab.lab.facade import Lab
+from netlab.live.foxglove import require_foxglove
 
 if TYPE_CHECKING:
     from netlab.tui.chooser import Topology
@@ -27,6 +30,7 @@ _WEB_DRIVER = "textual.drivers.web_driver:WebDriver"  # how textual-serve says t
 @click.argument("file", type=click.Path(path_type=Path), required=False)
 @with_scenario_options
 @click.option("--capture", type=click.Path(path_type=Path, dir_okay=False), help="Keep the capture (MCAP) here.")
+@with_foxglove
 @click.option("--plain", is_flag=True, help="Lines of progress and the verdict, as without a terminal.")
 @click.option(
     "--web",
@@ -42,6 +46,7 @@ def lab(
     seed: int | None,
     overrides: tuple[str, ...],
     capture: Path | None,
+    foxglove_port: int | None,
     plain: bool,
     web: int | None,
 ) -> None:
@@ -58,19 +63,21 @@ def lab(
 
     if plain and web is not None:
         raise click.UsageError("--plain has no screen that --web could show; leave one of them out")
+    if foxglove_port is not None:
+        require_foxglove()
     if web is not None:
-        options = {"--engine": engine, "--seed": seed, "--capture": capture}
+        options = {"--engine": engine, "--seed": seed, "--capture": capture, "--foxglove": foxglove_port}
         given = [word for name, value in options.items() if value is not None for word in (name, str(value))]
         given += [word for override in overrides for word in ("--set", override)]
         _in_browser(make, file, given, port=web)
         return
     if plain or not _has_screen():
         file = file or DEFAULT_SCENARIO
-        result = run_with_status(make(file))
+        result = run_with_status(make(file), foxglove_port)
         click.echo(result.report())
         click.echo(f"capture: {kept(file)}  (netlab inspect {kept(file)})")
         sys.exit(result.exit_code)
-    _on_screen(make, file)
+    _on_screen(make, file, foxglove_port)
 
 
 def _has_screen() -> bool:
@@ -103,13 +110,21 @@ def _choices() -> list[Topology]:
     return choices
 
 
-def _on_screen(make: Callable[[Path], Lab], file: Path | None) -> None:
+def _on_screen(make: Callable[[Path], Lab], file: Path | None, foxglove_port: int | None) -> None:
     from netlab.tui.app import LabApp  # Textual, which all other commands do without
     from netlab.tui.session import LabSession
 
     choices = [] if file is not None else _choices()
     first = make(file) if file is not None else None  # a mistake in it shows before the screen does
-    app = LabApp(lambda path: LabSession(first or make(path)), file, choices=choices)
+
+    @contextlib.contextmanager
+    def to_foxglove(lab: Lab) -> Iterator[None]:
+        with shown(lab, foxglove_port) as server:
+            if server is not None:
+                app.notify(f'{server.url}  ("Open connection"; this machine only)', title="Foxglove", timeout=20)
+            yield
+
+    app = LabApp(lambda path: LabSession(first or make(path), to_foxglove), file, choices=choices)
     try:
         error = app.run()
     finally:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
-from netlab.cli.foxglove import announce, with_foxglove
+from netlab.cli.foxglove import announce, shown, with_foxglove
 from netlab.cli.progress import Steps
 from netlab.cli.status import Status
 from netlab.cli.up import with_scenario_options
 from netlab.lab.facade import Lab
 from netlab.lab.results import RunResult, needs_packets
-from netlab.live.foxglove import FoxgloveServer, require_foxglove
+from netlab.live.foxglove import require_foxglove
 from netlab.report.build import STEPS, require_plots, write_report
 from netlab.scenario import load_scenario
 
@@ -106,20 +104,11 @@ def run_with_status(lab: Lab, foxglove_port: int | None = None) -> RunResult:
     try:
         with Steps() as steps:
             lab.start(steps.begin)
-        with lab, _shown(lab, foxglove_port), status:
+        with lab, shown(lab, foxglove_port) as server, status:
+            if server is not None:
+                announce(server)
             status.ready(lab.name, lab.status())
             return lab.run(status.update)
     except KeyboardInterrupt:
         click.echo("interrupted; the lab has been taken down", err=True)
         raise click.Abort from None
-
-
-@contextlib.contextmanager
-def _shown(lab: Lab, port: int | None) -> Iterator[None]:
-    """Show a running lab to Foxglove, if that was asked for."""
-    if port is None:
-        yield
-        return
-    with FoxgloveServer(lab.feed(packets=True), name=lab.name, port=port) as server:
-        announce(server)
-        yield

@@ -17,7 +17,7 @@ import itertools
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -207,23 +207,34 @@ class Boxes:
             Share(folder / f"box{number}", {test: tests[test] for test in part}, order)
             for number, part in enumerate(parts)
         ]
+        self._are_closed = False
         self._share_of = {test: share for share, part in zip(self.shares, parts, strict=True) for test in part}
 
     def await_report(self, test: str, phase: str) -> dict[str, Any] | None:
-        """The report of one phase of a test, serialised; None if it is lost, see :meth:`why_lost`."""
+        """The report of one phase of a test, serialised; None if it is lost, see :meth:`why_lost`.
+
+        Waits for it unless the boxes are closed: of an interrupted test, pytest wants the teardown after the end.
+        """
         share = self._share_of[test]
 
         def known() -> bool:
             share.records.refresh()
             return phase in share.records.reports[test] or share.records.settled(test)
 
-        while not known():
+        while not known() and not self._are_closed:
             at_work = self._at_work() or (share if share.hold() else self._idle_one())
             if at_work is not None:
                 at_work.drive(known)
             else:
                 time.sleep(_POLL_S)
         return share.records.reports[test].get(phase)
+
+    def finished(self) -> Iterator[tuple[str, str]]:
+        """Every test that has come to its end in a box, with each phase that it reported."""
+        for share in self.shares:
+            share.records.refresh()
+            for test in share.records.finished:
+                yield from ((test, phase) for phase in share.records.reports[test])
 
     def why_lost(self, test: str) -> str:
         """Why there is no report."""
@@ -246,6 +257,7 @@ class Boxes:
 
     def close(self) -> None:
         """End all boxes of this process."""
+        self._are_closed = True
         for share in self.shares:
             share.close()
 

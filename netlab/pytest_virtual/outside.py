@@ -81,6 +81,7 @@ class Outside:
         self._clock: str | None = config.getoption("--lab-clock")
         self._boxes: Boxes | None = None
         self._count = 0
+        self._told: set[tuple[str, str]] = set()  # test and phase
         worker: dict[str, Any] = getattr(config, "workerinput", {})
         self._is_shared = bool(worker)
         self._worker_count = int(worker.get("workercount", 1))
@@ -145,14 +146,21 @@ class Outside:
         assert isinstance(report, pytest.TestReport)
         return report
 
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Remember what has been told."""
+        self._told.add((report.nodeid, report.when))
+
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
         """End the boxes now: after this, a worker (xdist) may be interrupted at any moment.
 
         Other workers may still wait for a box of this one, unless the session was cut short.
         """
         if self._boxes is not None:
-            cut_short = session.shouldstop or session.shouldfail or exitstatus == pytest.ExitCode.INTERRUPTED
+            interrupted = exitstatus == pytest.ExitCode.INTERRUPTED
+            cut_short = session.shouldstop or session.shouldfail or interrupted
             try:
+                if interrupted and not self._is_shared:
+                    self._tell_finished()
                 if self._is_shared and not cut_short:
                     self._boxes.finish()
                 self._show_warnings()
@@ -192,6 +200,12 @@ class Outside:
             patience_s=self._config.getoption("--lab-patience"),
             echo=sys.stdout.buffer if self._config.option.capture == "no" else None,
         )
+
+    def _tell_finished(self) -> None:
+        """A box runs ahead of this session: what it has finished is not lost by an interrupt."""
+        for test, phase in self.boxes.finished():
+            if (test, phase) not in self._told and (report := self.report(test, phase)) is not None:
+                self._config.hook.pytest_runtest_logreport(report=report)
 
     def _bring_captures(self, test: str) -> None:
         """Put the captures where the report says that they are."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 
 from netlab.report import palette
+
+_OPTION = re.compile(r"--[a-z-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,16 +126,21 @@ def _section(section: Section) -> str:
     is_pair = len(section.panes) > 1
     panes = "".join(f"<figure>{_pane(pane)}</figure>" for pane in section.panes)
     kind = ' class="long"' if any(pane.body and "<table" in pane.body for pane in section.panes) else ""
-    caption = f"<p>{escape(section.caption)}</p>" if section.caption and not section.is_empty else ""
+    caption = f"<p>{_prose(section.caption)}</p>" if section.caption and not section.is_empty else ""
     return (
         f'\n<section id="{section.anchor}"{kind}><h2>{escape(section.title)}</h2>'
         f'<div class="panes{" pair" if is_pair else ""}">{panes}</div>{caption}</section>'
     )
 
 
+def _prose(text: str) -> str:
+    """Text in which no line ends inside the name of an option."""
+    return _OPTION.sub(r'<span class="option">\g<0></span>', escape(text))
+
+
 def _pane(pane: Pane) -> str:
     label = f'<div class="label">{escape(pane.label)}</div>' if pane.label else ""
     if pane.body is None:
         return f'{label}<p class="missing">{escape(pane.caption)}</p>'
-    caption = f"<figcaption>{escape(pane.caption)}</figcaption>" if pane.caption else ""
+    caption = f"<figcaption>{_prose(pane.caption)}</figcaption>" if pane.caption else ""
     return f"{label}{pane.body}{caption}"

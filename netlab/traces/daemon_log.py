@@ -166,7 +166,8 @@ class DaemonLog:
 
     def is_copy(self, key: tuple[str, str, int, int, int], t_ns: int) -> bool:
         """Whether a fragment that left at ``t_ns`` was such a copy; ``key`` as of :attr:`copied`."""
-        return any(abs(t_ns - told_ns) < _COPY_WITHIN_NS for told_ns in self.copied.get(key, ()))
+        told = self.copied.get(key)
+        return told is not None and any(abs(t_ns - told_ns) < _COPY_WITHIN_NS for told_ns in told)
 
     def topic_of(self, node: str, wire_id: int, t_ns: int) -> str:
         """The topic of a message of which a fragment left at that time; empty if its daemon never told."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
-from netlab.traces.model import EVERYBODY, NS_PER_S, Fragment, Published, Stream, Trace
+from netlab.traces.model import NS_PER_S, Fragment, Published, Stream, Trace
 
 GRACE_NS = 1_000_000
 
@@ -83,7 +83,7 @@ class _Queue:
 
 
 def _ends_ns(trace: Trace, stream: Stream, published: list[Published], fragments: list[Fragment]) -> list[int]:
-    last_sent = _last_sent_ns(stream, fragments)
+    last_sent = _last_sent_ns(trace, stream, fragments)
     ends = []
     for position, entry in enumerate(published):
         message_id, end_ns = last_sent.get((entry.publication, entry.seq), (None, None))
@@ -96,12 +96,14 @@ def _ends_ns(trace: Trace, stream: Stream, published: list[Published], fragments
     return ends
 
 
-def _last_sent_ns(stream: Stream, fragments: list[Fragment]) -> dict[tuple[int, int], tuple[int, int | None]]:
+def _last_sent_ns(
+    trace: Trace, stream: Stream, fragments: list[Fragment]
+) -> dict[tuple[int, int], tuple[int, int | None]]:
     """(publication, seq) -> (message id, first transmission of its last fragment or None if some were never sent)."""
     first_ns: dict[tuple[int, int], dict[int, int]] = {}
     about: dict[tuple[int, int], Fragment] = {}
     for fragment in fragments:
-        if fragment.message is not None and fragment.destination in (stream.destination, EVERYBODY, ""):
+        if fragment.message is not None and trace.is_for(fragment, stream):
             first_ns.setdefault(fragment.message, {}).setdefault(fragment.index, fragment.t_ns)
             about[fragment.message] = fragment
     return {

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from netlab.capture.decoders import mesh_of, traffic_in, udp_of
 from netlab.capture.reader import Capture
@@ -31,7 +32,7 @@ from netlab.traces.model import (
 )
 from udp_mesh.core.wire import tag_of
 
-_KINDS = frozenset(Kind) - {Kind.LOG, Kind.MAP, Kind.POSES}
+_KINDS = frozenset(Kind) - {Kind.VERDICT, Kind.LOG, Kind.MAP, Kind.POSES}
 
 
 def load_trace(path: Path | str) -> Trace:
@@ -51,16 +52,25 @@ def read_trace(capture: Capture, *, with_packets: bool = True) -> Trace:
         capture: It stays open.
         with_packets: Without packets and verdicts, ``fragments`` and ``links`` stay empty: far less time and memory.
     """
-    kinds = _KINDS if with_packets else _KINDS - {Kind.PACKET, Kind.VERDICT}
     loader = _Loader(capture)
-    for record in capture.records(kinds):
+    kinds, tally = (_KINDS, loader.verdict) if with_packets else (_KINDS - {Kind.PACKET}, None)
+    for record in capture.records(kinds, tally=tally, with_inbound=loader.needs_inbound):
         if isinstance(record, PacketRecord):
             loader.packet(record)
-        elif isinstance(record, VerdictRecord):
-            loader.verdict(record)
         elif isinstance(record, JsonRecord):
             loader.json(record)
     return loader.finish(list(capture.notes))
+
+
+class _Sent(NamedTuple):
+    """A fragment as it left, whole only when all has been read: its time, interface, epoch, message id, index, count
+    and priority."""
+
+    fragment: tuple[int, Interface, int, int, int, int, int]
+    tag: int | None  # of the destination; None for everybody
+    address: str  # of a broadcast
+    packet_number: int
+    frame_bytes: int
 
 
 class _Loader:
@@ -68,10 +78,8 @@ class _Loader:
         self._trace = Trace(path=str(capture.path), t0_ns=capture.t0_ns)
         self._nodes: dict[int, str] = {}  # an epoch's tag -> the node that sends with it
         self._packet_links: PacketLinks | None = None  # only where the medium tells no verdicts
-        self._tags: list[int] = []  # destination tag per fragment, in the order of loading
-        self._packet_numbers: list[int] = []  # likewise
         self._wire_ids: dict[tuple[str, int], int] = {}  # of messages that were begun anew, by node and first id
-        self._fragments: list[Fragment] = []
+        self._sent: list[_Sent] = []
         self._messages: dict[tuple[str, int, int], tuple[int, int]] = {}
         self._interfaces: dict[tuple[str, str | None], Interface] = {}  # by (node, segment)
         self._pair_rates: dict[Interface, dict[str, float | None]] = {}  # by interface and receiving node
@@ -124,6 +132,11 @@ class _Loader:
         for stream in trace.streams:
             trace.published[stream.index], trace.delivered[stream.index] = [], []
 
+    @property
+    def needs_inbound(self) -> bool:
+        """Whether packets that came in tell anything: what became of frames, where no verdicts do."""
+        return self._packet_links is not None
+
     def json(self, record: JsonRecord) -> None:
         self._take[record.kind](record)
 
@@ -134,48 +147,43 @@ class _Loader:
             return
         datagram = udp_of(record.frame, record.linktype)
         mesh = mesh_of(datagram) if datagram else None
-        if mesh is None:
+        if datagram is None or mesh is None:
             return
         self._nodes[tag_of(mesh.epoch)] = record.node
+        here = (record.node, record.interface)
+        tag, address = (None, datagram.destination) if mesh.is_broadcast else (mesh.destination_tag, "")
         for piece in mesh.fragments:
-            key = (record.node, mesh.epoch, piece.message_id)
+            message_id, priority, _, index, count, _, _ = piece
             if header := traffic_in(piece):
-                self._messages[key] = (header.stream, header.seq)
-            self._tags.append(0 if mesh.is_broadcast else mesh.destination_tag)
-            self._packet_numbers.append(mesh.packet_number)
-            self._fragments.append(
-                Fragment(
-                    record.t_ns,
-                    (record.node, record.interface),
-                    mesh.epoch,
-                    piece.message_id,
-                    piece.fragment_index,
-                    piece.fragment_count,
-                    piece.priority,
-                    EVERYBODY if mesh.is_broadcast else "",
-                    record.original_length,
-                )
-            )
+                self._messages[record.node, mesh.epoch, message_id] = (header.stream, header.seq)
+            fragment = (record.t_ns, here, mesh.epoch, message_id, index, count, priority)
+            self._sent.append(_Sent(fragment, tag, address, mesh.packet_number, record.original_length))
 
-    def verdict(self, record: VerdictRecord) -> None:
+    def verdict(self, record: VerdictRecord, count: int) -> None:
+        """Take what the medium decided of ``count`` frames alike."""
         counts = self._trace.links.setdefault((record.sender, record.receiver), LinkCounts())
-        counts.frames += 1
-        counts.size_bytes += record.length
-        counts.verdicts[record.verdict] = counts.verdicts.get(record.verdict, 0) + 1
+        counts.frames += count
+        counts.size_bytes += record.length * count
+        counts.verdicts[record.verdict] = counts.verdicts.get(record.verdict, 0) + count
 
     def finish(self, notes: list[str]) -> Trace:
         trace = self._trace
-        for fragment, tag, number in zip(self._fragments, self._tags, self._packet_numbers, strict=True):
-            message = self._messages.get((fragment.node, fragment.epoch, fragment.message_id))
-            destination = fragment.destination or self._nodes.get(tag, "")
-            sent_as = (fragment.node, destination, number, fragment.message_id, fragment.index)
-            is_copy = trace.daemons.is_copy(sent_as, fragment.t_ns)
-            whole = replace(fragment, destination=destination, message=message, is_copy=is_copy)
-            trace.fragments.setdefault(fragment.node, []).append(whole)
+        for sent in self._sent:
+            fragment = self._fragment(sent)
+            trace.fragments.setdefault(fragment.node, []).append(fragment)
         if self._packet_links is not None:
             trace.links = self._packet_links.counts()
         trace.notes = notes
         return trace
+
+    def _fragment(self, sent: _Sent) -> Fragment:
+        """With what is only known at the end: whose tag it is, of which message, and whether it was a copy."""
+        t_ns, (node, _), epoch, message_id, index, _, _ = sent.fragment
+        destination = EVERYBODY if sent.tag is None else self._nodes.get(sent.tag, "")
+        copied_as = (node, destination, sent.packet_number, message_id, index)
+        is_copy = self._trace.daemons.is_copy(copied_as, t_ns)
+        message = self._messages.get((node, epoch, message_id))
+        return Fragment(*sent.fragment, destination, sent.frame_bytes, message, is_copy, sent.address)
 
     def _step(self, record: JsonRecord) -> None:
         restores, *meshed = (record.payload.get(key) for key in ("restores", "reroutes", "rejoins"))

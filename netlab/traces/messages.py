@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from netlab.traces.model import EVERYBODY, Delivery, Fragment, Published, Stream, Trace
+from netlab.traces.model import Delivery, Fragment, Published, Stream, Trace
 from netlab.traces.streams import first_deliveries
 
 
@@ -36,7 +36,7 @@ def message_lives(trace: Trace) -> list[MessageLife]:
 def _lives(trace: Trace, stream: Stream) -> list[MessageLife]:
     sent: dict[tuple[int, int], list[Fragment]] = {}
     for fragment in trace.fragments.get(stream.source, []):
-        if fragment.message is not None and fragment.destination in (stream.destination, EVERYBODY, ""):
+        if fragment.message is not None and trace.is_for(fragment, stream):
             sent.setdefault(fragment.message, []).append(fragment)
     first = {delivery.seq: delivery for delivery in first_deliveries(trace, stream.index)}
     receipts: dict[int, int] = {}

@@ -70,7 +70,8 @@ class Fragment:
 
     ``destination`` is a node, ``all`` for a broadcast, empty if nothing tells. ``message`` is (publication, seq) for
     messages of netlab's own traffic, else None. ``is_copy``: its daemon sent it once more before it knew anything
-    of the arrival of the one before (``redundancy``).
+    of the arrival of the one before (``redundancy``). ``address``: where a broadcast went, which a daemon with fixed
+    neighbours sends to one after another; empty for all else.
     """
 
     t_ns: int
@@ -84,6 +85,7 @@ class Fragment:
     frame_bytes: int
     message: tuple[int, int] | None = None
     is_copy: bool = False
+    address: str = ""
 
     @property
     def node(self) -> str:
@@ -224,6 +226,11 @@ class Trace:
     def seconds(self, t_ns: int) -> float:
         """Scenario time."""
         return (t_ns - self.t0_ns) / NS_PER_S
+
+    def is_for(self, fragment: Fragment, stream: Stream) -> bool:
+        """Whether a fragment of a stream's message went to the stream's destination, too."""
+        addressed = self.addresses.get(fragment.address, stream.destination)
+        return addressed == stream.destination and fragment.destination in (stream.destination, EVERYBODY, "")
 
     def find_published(self, stream: int, seq: int) -> Published | None:
         """A stream's publication by its number."""

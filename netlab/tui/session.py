@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -72,8 +73,10 @@ class Session(Protocol):
 class LabSession:
     """A real lab of this process."""
 
-    def __init__(self, lab: Lab) -> None:
+    def __init__(self, lab: Lab, shown: Callable[[Lab], AbstractContextManager[object]] = nullcontext) -> None:
+        """``shown``: how else the lab is shown, from its start to its end."""
         self.lab = lab
+        self._shown, self._scope = shown, ExitStack()
         self._feed: Feed | None = None
         self._interrupted = False
         self.files: list[tuple[str, Path]] = [("capture", lab.capture)]
@@ -92,6 +95,7 @@ class LabSession:
     def start(self) -> None:
         """Bring it up and let its scenario begin."""
         self.lab.start()
+        self._scope.enter_context(self._shown(self.lab))
         self._feed = self.lab.feed()
         self.lab.begin()
 
@@ -145,4 +149,5 @@ class LabSession:
         """End it."""
         if self._feed is not None:
             self._feed.close()
+        self._scope.close()
         self.lab.close()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from netlab.capture.reader import Capture
 from netlab.capture.record_file import MAGIC
 from netlab.capture.records import JsonRecord, Kind, PacketRecord, VerdictRecord
+from netlab.capture.schemas import Direction
 from netlab.capture.topics import Topics
 from netlab.capture.writer import CaptureWriter
 from netlab.errors import CaptureError
@@ -51,6 +53,39 @@ def test_filters_choose(write_capture: Callable[..., Path]) -> None:
         assert isinstance(event, JsonRecord)
         assert (event.node, event.text("event")) == ("base", "peer_up")
         assert len(list(capture.records(topics={"/robot1/eth0/packets"}))) == 20
+
+
+def test_verdicts_are_counted_in_passing(write_capture: Callable[..., Path]) -> None:
+    counted: Counter[tuple[VerdictRecord, int]] = Counter()
+    path = write_capture(packets=30)
+    with Capture.open(path) as capture:
+        kinds = {Kind.PACKET, Kind.VERDICT}
+        seen = list(capture.records(kinds, tally=lambda record, count: counted.update({(record, count): 1})))
+        one_by_one = Counter(record.verdict for record in capture.records({Kind.VERDICT}))
+        only_packets = list(capture.records({Kind.PACKET}))
+    assert seen == only_packets
+    assert {record.verdict: count for record, count in counted} == one_by_one
+    assert len(counted) == 2
+    assert all(record[:3] == (0, ("base", "eth0"), ("robot1", "eth0")) for record, _ in counted)
+
+
+def test_verdicts_of_a_time_are_counted(write_capture: Callable[..., Path]) -> None:
+    counts = []
+    with Capture.open(write_capture(packets=30)) as capture:
+        records = capture.records(
+            {Kind.TIMELINE}, end_ns=T0_NS + 10**7, tally=lambda record, count: counts.append(count)
+        )
+        assert len(list(records)) == 1
+    assert sum(counts) == 10
+
+
+def test_packets_that_came_in_can_be_left_out(write_capture: Callable[..., Path]) -> None:
+    with Capture.open(write_capture(packets=30)) as capture:
+        everything = list(capture.records())
+        outbound = list(capture.records(with_inbound=False))
+    inbound = [r for r in everything if isinstance(r, PacketRecord) and r.direction is Direction.INBOUND]
+    assert inbound
+    assert outbound == [record for record in everything if record not in inbound]
 
 
 def test_a_file_cut_anywhere_reads_up_to_its_last_whole_chunk(

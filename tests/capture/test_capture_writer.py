@@ -66,6 +66,29 @@ def test_verdicts_are_what_protobuf_itself_would_write(
     assert (decoded.verdict, decoded.departs_ns, decoded.length, decoded.crc32) == (verdict, departs_ns, length, crc)
 
 
+@given(st.text(), st.text(), st.integers(0, 7), st.integers(0, 2**64 - 1), U32, U32, st.binary(max_size=9))
+def test_a_shape_is_the_verdict_without_what_tells_its_frame(
+    node: str, interface: str, verdict: int, departs_ns: int, length: int, crc: int, rest: bytes
+) -> None:
+    ends = schemas.encode_verdict_ends((node, interface), (interface, node))
+    data = schemas.encode_verdict(ends, verdict, departs_ns, length, crc) + schemas.encode_attempts(3, -70)
+    shape = schemas.verdict_shape(data)
+    whole, decoded = VERDICT.FromString(data), VERDICT.FromString(shape)
+    if shape != data:  # names of more than 127 bytes may be left as they are
+        whole.ClearField("departs_ns")
+        whole.ClearField("crc32")
+    assert decoded == whole
+    assert shape != data or max(len(node.encode()), len(interface.encode())) > 127
+    assert schemas.verdict_shape(data[: len(ends)] + rest) == data[: len(ends)] + rest  # damaged: nothing is taken off
+
+
+@pytest.mark.parametrize("direction", schemas.Direction)
+def test_packets_that_came_in_are_told_by_their_bytes(direction: schemas.Direction) -> None:
+    data = schemas.encode_packet(1, 60, 1, direction, schemas.encode_packet_names("a", "eth0"), 60)
+    assert schemas.is_inbound(data) is (direction is schemas.Direction.INBOUND)
+    assert not schemas.is_inbound(data[:16])
+
+
 def test_the_mcap_library_reads_all_of_it(write_capture: Callable[..., Path]) -> None:
     path = write_capture(packets=12)
     with path.open("rb") as file:

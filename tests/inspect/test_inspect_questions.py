@@ -246,3 +246,34 @@ def test_the_play_is_what_the_loader_reads() -> None:
     assert EPOCHS["b"] & 0xFFFFFFFF == 0xB
     assert T0_NS % 1_000_000_000 == 0
     assert {port["node"] for port in PORTS} == {"a", "b"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--node", "z"], "--node z: no such node in this capture; nodes are a, b"),
+        (["--drops", "--peer", "z"], "--peer z: no such node in this capture; nodes are a, b"),
+        (["--topic", "z"], "--topic z: not of this run's traffic; its topics are bulk, telemetry"),
+        (["--conversations", "--peer", "all"], ""),
+        (["--conversations", "--peer", "10.9.0.9"], ""),  # under which a host stands that is no node
+        (["--topic", "bulk", "--node", "b", "--peer", "a"], ""),
+    ],
+)
+def test_names_that_are_not_there_are_told_beside_the_answer(run: Path, arguments: list[str], said: str) -> None:
+    result = ask(run, *arguments)
+    assert result.exit_code == 0
+    assert result.stderr == (f"note: {said}\n" if said else "")
+
+
+def test_nodes_of_another_programs_capture_are_known_by_its_topics(tmp_path: Path) -> None:
+    play = Play(tmp_path / "other.mcap", {"ports": "odd", "streams": '{"odd": 1}'})
+    play.json("/c/other/events", 0.1, event="something")
+    play.writer.close()
+    assert not ask(play.path, "--kind", "events", "--node", "c").stderr
+    assert "nodes are a, c" in ask(play.path, "--kind", "events", "--node", "b").stderr
+
+
+def test_a_time_that_ends_before_it_begins_is_a_mistake(run: Path) -> None:
+    result = ask(run, "--from", "2s", "--to", "1s")
+    assert result.exit_code == 2
+    assert "there is no time from 2 s to before 1 s" in result.stderr

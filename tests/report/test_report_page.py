@@ -19,6 +19,7 @@ from netlab.medium.verdicts import Verdict
 from netlab.report import build, palette
 from netlab.report.build import write_report
 from netlab.report.marks import acts_s
+from netlab.report.page import Html, Pane, Section, page
 from netlab.report.scene import load_scene
 from netlab.traces.model import Step, Trace
 
@@ -121,6 +122,14 @@ def test_sections_without_data_say_so(tmp_path: Path) -> None:
     missing = text[text.index('class="missing"') :]
     assert missing.count("<li") == 11
     assert "<b>Map</b>: The capture holds no poses." in missing
+
+
+def test_no_line_of_a_caption_ends_inside_an_option() -> None:
+    section = Section("a", "A", [Pane("<table></table>", "Another: --message <TOPIC>.")], "Or --base.")
+    text = page("t", Html(""), [], [section], is_pair=False)
+    assert 'Another: <span class="option">--message</span> &lt;TOPIC&gt;.' in text
+    assert 'Or <span class="option">--base</span>.' in text
+    assert ".option{white-space:nowrap}" in text
 
 
 def test_an_unknown_topic_or_node_is_named_with_those_that_are_known(capture: Path, tmp_path: Path) -> None:

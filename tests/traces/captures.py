@@ -25,11 +25,13 @@ PORTS = [
 ]
 
 
-def frame(sender: str, body: bytes, *, number: int, broadcast: bool = False) -> bytes:
+def frame(sender: str, body: bytes, *, number: int, broadcast: bool = False, last_byte: int | None = None) -> bytes:
+    """A datagram from one to the other; ``last_byte`` of its destination's address, if it is another."""
     receiver = "b" if sender == "a" else "a"
     tag, flags = (0, wire.FLAG_UNNUMBERED) if broadcast else (wire.tag_of(EPOCHS[receiver]), 0)
     payload = wire.encode_header(epoch=EPOCHS[sender], destination_tag=tag, packet_number=number, flags=flags) + body
     ends = bytes([10, 1, 0, 1, 10, 1, 0, 2]) if sender == "a" else bytes([10, 1, 0, 2, 10, 1, 0, 1])
+    ends = ends if last_byte is None else ends[:-1] + bytes([last_byte])
     udp = struct.pack("!HHHH", 8700, 8700, 8 + len(payload), 0) + payload
     return bytes(12) + b"\x08\x00" + struct.pack("!BBHHHBBH", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + ends + udp
 

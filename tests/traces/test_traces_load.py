@@ -16,6 +16,7 @@ from netlab.errors import CaptureError
 from netlab.medium.verdicts import Verdict
 from netlab.traces.inversions import inversions
 from netlab.traces.load import load_trace
+from netlab.traces.messages import message_lives
 from netlab.traces.model import Trace
 from netlab.traces.retransmissions import retransmissions
 from netlab.traces.streams import stream_report
@@ -191,3 +192,19 @@ def test_copies_are_no_retransmissions_and_a_drop_is_known_by_the_id_on_the_wire
     assert [entry.is_copy for entry in trace.fragments["a"]] == [False, True, False]
     assert [trace.seconds(entry.t_ns) for entry in retransmissions(trace, "a")] == [0.2]
     assert trace.dropped_ns == {("a", number): [T0_NS + 400_000_000] for number in (6, 11)}
+
+
+def test_a_broadcast_to_fixed_neighbours_one_by_one_is_no_retransmission(tmp_path: Path) -> None:
+    c = {"node": "c", "interface": "eth0", "address": "10.1.0.3/24"}
+    writer = Writer(tmp_path / "neighbours.mcap", {"ports": json.dumps([*PORTS, c])})
+    for seq in (0, 1):
+        writer.json("/a/traffic/published", 0.1 + seq, stream=0, seq=seq, size_bytes=118)
+    for at_s, to, seq in ((0.1, 2, 0), (0.101, 3, 0), (1.1, 2, 1), (1.101, 3, 1), (1.3, 3, 1)):
+        body = data(0, seq, message_id=6 + seq)
+        writer.crossing(at_s, frame("a", body, number=0, broadcast=True, last_byte=to))
+    writer.writer.close()
+    trace = load_trace(tmp_path / "neighbours.mcap")
+    assert {entry.destination for entry in trace.fragments["a"]} == {"all"}
+    assert [trace.seconds(entry.t_ns) for entry in retransmissions(trace, "a")] == [1.3]
+    to_b = message_lives(trace)  # streams of this capture go to b: what went to c is no transmission of theirs
+    assert [(life.fragments_sent, life.retransmissions) for life in to_b] == [(1, 0), (1, 0)]

@@ -5,6 +5,8 @@ Most tests here have a kernel that runs the box's command on the host itself: al
 
 from __future__ import annotations
 
+import fcntl
+import os
 import sys
 from pathlib import Path
 
@@ -194,3 +196,41 @@ def test_lab(make_lab):
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["1000.0*s call*test_sleeps*"])
     assert (pytester.path / "captures" / "test_labs.py_test_lab.mcap").stat().st_size > 1000
+
+
+INTERRUPTED = """
+import os, signal, threading
+
+def interrupt():
+    open("begun").read()  # a pipe: until the test in the box has begun
+    os.kill(os.getpid(), signal.SIGINT)
+
+def pytest_sessionstart(session):
+    if "NETLAB_VM" not in os.environ:
+        threading.Thread(target=interrupt, daemon=True).start()
+"""
+
+
+@pytest.mark.usefixtures("host_as_kernel")
+def test_an_interrupt_ends_the_boxes_and_shows_what_was_seen(pytester: pytest.Pytester) -> None:
+    os.mkfifo(pytester.path / "begun")
+    pytester.makeconftest(INTERRUPTED)
+    tests = """
+import fcntl
+pytestmark = virtual
+
+def test_fails(): assert IN_BOX == "seen before"
+
+def test_is_interrupted():
+    lock = open("lock", "w")
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    open("begun", "w").close()
+    time.sleep(1000)
+"""
+    result = run(pytester, tests)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    result.stdout.fnmatch_lines(["*KeyboardInterrupt*", "*1 failed*"])
+    result.stdout.fnmatch_lines(["E *'seen before'*", "FAILED test_labs.py::test_fails*"])
+    assert not result.errlines  # no traceback
+    with (pytester.path / "lock").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the box has ended

@@ -3,25 +3,13 @@
 local wire = require "udp_mesh_wire"
 local fields = require "udp_mesh_fields"
 local conversations = require "udp_mesh_conversations"
+local items = require "tree_items"
 
+local duration, generated = items.duration, items.generated
 local f, e = fields.fields, fields.experts
 local show = {
     names = {}, -- of nodes, by tag; the dissector sets it for each file
 }
-
-local function duration(seconds)
-    local sign = seconds < 0 and -1 or 1
-    local nanoseconds = math.floor(sign * seconds * 1e9 + 0.5)
-    return NSTime.new(sign * math.floor(nanoseconds / 1e9), sign * (nanoseconds % 1e9))
-end
-
-local function generated(tree, what, value)
-    if value ~= nil then
-        local item = tree:add(what, value)
-        item:set_generated()
-        return item
-    end
-end
 
 local function plain(number)
     return string.format("%d", number)

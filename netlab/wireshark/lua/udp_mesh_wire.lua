@@ -4,6 +4,8 @@
 -- what a daemon would have counted. Offsets are from 0 and from the beginning of the datagram. 48-bit numbers are Lua
 -- numbers, which hold them exactly; 64-bit numbers are strings of 8 bytes.
 
+local unsigned = require("big_endian").unsigned
+
 local wire = {}
 
 wire.VERSION = 1
@@ -23,14 +25,6 @@ wire.TYPES = {
 local MAX_NAME_BYTES = 63
 local OPENING = "uM" .. string.char(wire.VERSION)
 local TRAFFIC_BYTES = 18
-
-local function unsigned(bytes, at, size)
-    local value = 0
-    for position = at + 1, at + size do
-        value = value * 256 + bytes:byte(position)
-    end
-    return value
-end
 
 local function has_bit(value, bit)
     return math.floor(value / bit) % 2 == 1

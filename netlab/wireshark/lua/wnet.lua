@@ -5,6 +5,9 @@
 
 local wire = require "wnet_wire"
 local conversations = require "wnet_conversations"
+local items = require "tree_items"
+
+local duration, generated = items.duration, items.generated
 
 local ETHERTYPE = 0x88B6
 
@@ -93,19 +96,6 @@ local known, base_s, last_frame
 
 function wnet.init()
     known, base_s, last_frame = conversations.new(), nil, 0
-end
-
-local function duration(seconds)
-    local nanoseconds = math.floor(seconds * 1e9 + 0.5)
-    return NSTime.new(math.floor(nanoseconds / 1e9), nanoseconds % 1e9)
-end
-
-local function generated(tree, what, value)
-    if value ~= nil then
-        local item = tree:add(what, value)
-        item:set_generated()
-        return item
-    end
 end
 
 -- Where and when a body was seen, in the terms of wnet_conversations.lua. netlab names interfaces NODE/INTERFACE.

@@ -5,6 +5,7 @@
 -- frame without its outer Ethernet header.
 
 local checksums = require "checksums"
+local unsigned = require("big_endian").unsigned
 
 local wire = {}
 
@@ -23,14 +24,6 @@ wire.AGE_UNIT_S = 0.1 -- in which a TC tells its age, in the place of the link s
 local ETHERNET_BYTES, KEY_BYTES, MAX_LISTED = 14, 20, 16
 local HELLO_BYTES, TC_BYTES, ACK_BYTES, MAC_BYTES = 25, 16, 10, 6
 wire.HEARD_BYTES, wire.TC_LINK_BYTES = 18, 10
-
-local function unsigned(bytes, at, size)
-    local value = 0
-    for position = at + 1, at + size do
-        value = value * 256 + bytes:byte(position)
-    end
-    return value
-end
 
 -- The checksum of bytes in which it stands itself, at `at`, as if it were 0.
 local function check_of(bytes, at)
