@@ -39,6 +39,8 @@ _TC_FAST_S = 1.0
 _SYNC_INTERVAL_S = 5.0
 _PATIENCE_S = 1.5
 _SLOW_SEARCH = 5
+_SEARCH_RESERVE_S = 5.0
+"""Searching leaves what is saved in this time, so that what it finds can be told at once."""
 _UTILISATION_STEP = 0.05
 
 
@@ -237,10 +239,12 @@ class Control:
         if not self._graph.own.incoming:
             wait_s = {member: wait_s.get(member, slow_s) for member in range(len(self._members))}
         self._search_due = now + min(wait_s.values(), default=slow_s) * (1.0 - 0.1 * self._rng.random())
-        for member, interval_s in wait_s.items():
-            if now - self._searched.get(member, float("-inf")) < 0.8 * interval_s:
+        waited = {member: (now - self._searched.get(member, float("-inf"))) / wait_s[member] for member in wait_s}
+        for member in sorted(waited, key=lambda member: -waited[member]):
+            if waited[member] < 0.8:
                 continue
-            if self._budget.wait_s(self._airtime_s(100), now=now) == 0.0:
+            if self._budget.wait_s(self._airtime_s(100), now=now, reserve_s=_SEARCH_RESERVE_S) == 0.0:
+                interval_s = wait_s[member]
                 self._searched[member] = now
                 until_next_s = max(self._hello.due - now, interval_s)
                 self._send_hello(member, until_next_s, frozenset(), is_partial=True, now=now)

@@ -142,10 +142,12 @@ class Retries:
                 self.forget(transmission, entry)
 
     def _is_gone(self, link: Link, now: float) -> bool:
+        if not link.is_usable or link.misses < _LEAST_MISSES:
+            return False
         patience_s = max(self._config.lost_after_s, 2.0 * link.timer.rto_s)
-        if link.last_heard >= link.missed_since:
-            patience_s *= _ONE_WAY_PATIENCE
-        return link.is_usable and link.misses >= _LEAST_MISSES and now - link.missed_since >= patience_s
+        if now - max(link.missed_since, link.last_heard) >= patience_s:
+            return True
+        return now - link.missed_since >= _ONE_WAY_PATIENCE * patience_s
 
     def _give_up(self, transmission: Transmission, now: float) -> None:
         for entry in list(transmission.entries):
