@@ -26,7 +26,7 @@ from wnet.core.neighbours import Neighbours
 from wnet.core.outbox import CONTROL, FRAME_OVERHEAD_S, Outbox
 from wnet.core.topology import Node, TopologyGraph, incoming_of
 from wnet.core.transmissions import Packet
-from wnet.core.wire_control import Hello, NodeInfo, Topology
+from wnet.core.wire_control import Hello, Incoming, NodeInfo, Topology
 
 _AT_ONCE_S = 0.005
 """A change is told within this, at random, so that neighbours do not all speak at once."""
@@ -99,6 +99,8 @@ class Control:
         self._is_tc_urgent = False
         self._promised = float("inf")
         """When the next HELLOs are due by what the last ones told."""
+        self._told = self._tc_content()
+        """What the last TC said."""
         self._foreign: tuple[int, int] | None = None
         self._search_due = now
         self._searched: dict[int, float] = {}
@@ -112,7 +114,7 @@ class Control:
         """Links came or went, someone new was heard, or what this node tells of itself changed: tell at once, a loss
         before anything that is sent another way because of it."""
         self._hello.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
-        if self._graph.own.incoming or self._graph.own.tail:
+        if self._tc_content() != self._told:
             self._is_tc_urgent = True
             self._tc.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
 
@@ -256,15 +258,18 @@ class Control:
         own = self._graph.own
         if not own.incoming and own.tail is None:
             return
-        links = incoming_of(own)
+        self._told = info, links = self._tc_content()
         most = (min(map(self._outbox.limit_bytes, range(len(self._members)))) - 400) // wire_control.LINK_BYTES
-        topology = Topology(own.mac, self._config.tc_slow_s, own.info, links[:most])
+        topology = Topology(own.mac, self._config.tc_slow_s, info, links[:most])
         sequence = self._next_sequence()
         tail = wire.tail_of(own.epoch, sequence, wire_control.encode_tc(topology))
         self._graph.note_own_tc(sequence, tail, now=now)
         if self._floods.send(self.packet_of(own, now=now), is_retried=self._is_tc_urgent, now=now):
             self._budget.spend(self._airtime_s(len(tail)), now=now)
         self._is_tc_urgent = False
+
+    def _tc_content(self) -> tuple[NodeInfo, tuple[Incoming, ...]]:
+        return self._graph.own.info, incoming_of(self._graph.own)
 
     def refresh_info(self, *, now: float) -> None:
         """Put what this node tells of itself into the graph."""
