@@ -93,7 +93,12 @@ def reconnect_s(make_mesh_net, seed: int) -> float:
         net.change(*ends, is_cut=False)
     restored_s = net.now
     net.run(1.5)
-    first = [min([at for at in net.times(name) if at > restored_s], default=net.now) for name in "ad"]
+    return resumed_s(net, "ad", restored_s)
+
+
+def resumed_s(net, names: str, restored_s: float) -> float:
+    """How long after a moment all of some nodes have got a frame."""
+    first = [min([at for at in net.times(name) if at > restored_s], default=net.now) for name in names]
     return max(first) - restored_s
 
 
@@ -139,7 +144,7 @@ def test_the_other_relay_carries_soon_after_the_tenth_outage_as_after_the_first(
             net.change(*ends, is_cut=old in ends)
         restored_s = net.now
         net.run(4.0)
-        delays.append(max(min([at for at in net.times(n) if at > restored_s], default=net.now) for n in "ab") - restored_s)
+        delays.append(resumed_s(net, "ab", restored_s))
         for ends in pairs:
             net.change(*ends, is_cut=False)
         net.run(6.0 + net.rng.random())

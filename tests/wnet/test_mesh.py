@@ -411,7 +411,7 @@ def test_the_numbers_of_frames_wrap(make_mesh_net) -> None:
     for name in "abc":
         station = net.stations[name]
         station.mesh._forwarder._sequence = 2**32 - 5
-        for link in station.mesh._neighbours:
+        for link in station.mesh._links:
             link.next_sequence = 0xFFFA
     net.run(30.0)  # TCs count on over the wrap, too
     for number in range(40):

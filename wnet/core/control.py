@@ -13,18 +13,16 @@ Theory of operation.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
-from wnet.config import MeshConfig
 from wnet.core import wire, wire_control
 from wnet.core.budget import Budget
+from wnet.core.context import Context
 from wnet.core.flooding import Floods
-from wnet.core.journal import Journal
 from wnet.core.link import Link
-from wnet.core.members import Member
-from wnet.core.neighbours import Neighbours
+from wnet.core.links import LinkTable
 from wnet.core.outbox import CONTROL, FRAME_OVERHEAD_S, Outbox
-from wnet.core.topology import Node, TopologyGraph, incoming_of
+from wnet.core.topology import Node, incoming_of
 from wnet.core.transmissions import Packet
 from wnet.core.wire_control import Hello, Incoming, NodeInfo, Topology
 
@@ -71,29 +69,25 @@ class Control:
 
     def __init__(
         self,
-        config: MeshConfig,
-        graph: TopologyGraph,
-        neighbours: Neighbours,
+        context: Context,
+        links: LinkTable,
         floods: Floods,
         outbox: Outbox,
-        members: Sequence[Member],
-        journal: Journal,
         *,
         next_sequence: Callable[[], int],
         own_info: Callable[[], NodeInfo],
-        rng: random.Random,
         now: float,
     ) -> None:
-        self._config = config
-        self._graph = graph
-        self._neighbours = neighbours
+        self._config = config = context.config
+        self._graph = context.graph
+        self._members = context.members
+        self._journal = context.journal
+        self._rng = rng = context.rng
+        self._links = links
         self._floods = floods
         self._outbox = outbox
-        self._members = members
-        self._journal = journal
         self._next_sequence = next_sequence
         self._own_info = own_info
-        self._rng = rng
         self._hello = _Trickle(config.hello_fast_s, config.hello_slow_s, now=now + config.hello_fast_s * rng.random())
         self._tc = _Trickle(_TC_FAST_S, config.tc_slow_s, now=now + _TC_FAST_S)
         self._is_tc_urgent = False
@@ -104,7 +98,7 @@ class Control:
         self._foreign: tuple[int, int] | None = None
         self._search_due = now
         self._searched: dict[int, float] = {}
-        self._sequences = [0] * len(members)
+        self._sequences = [0] * len(context.members)
         self._budget = Budget(config.control_share, now=now)
         self._busy_s, self._busy_at, self._busy_ratio = 0.0, now, 0.0
 
@@ -206,7 +200,7 @@ class Control:
     def _send_hello(
         self, member: int, interval_s: float, mprs: frozenset[bytes], *, is_partial: bool, now: float
     ) -> None:
-        links = self._neighbours.heard(member, is_partial=is_partial, mprs=mprs, now=now)
+        links = self._links.heard(member, is_partial=is_partial, mprs=mprs, now=now)
         most = (self._outbox.limit_bytes(member) - 300) // wire_control.HEARD_BYTES
         if len(links) > most:  # in turn, from one HELLO to the next
             first = self._sequences[member] * most % len(links)
@@ -234,7 +228,7 @@ class Control:
         """Send partial HELLOs where a link was lost, and by a node that is alone."""
         fast_s, slow_s = self._config.hello_fast_s, self._config.hello_slow_s / _SLOW_SEARCH
         wait_s: dict[int, float] = {}
-        for link in self._neighbours:
+        for link in self._links:
             if link.lost_at is not None and now - link.lost_at < self._config.search_s * _SLOW_SEARCH:
                 is_fast = link.is_missed and now - link.lost_at < self._config.search_s
                 wait_s[link.member] = min(wait_s.get(link.member, slow_s), fast_s if is_fast else slow_s)
@@ -259,7 +253,7 @@ class Control:
         if not own.incoming and own.tail is None:
             return
         self._told = info, links = self._tc_content()
-        most = (min(map(self._outbox.limit_bytes, range(len(self._members)))) - 400) // wire_control.LINK_BYTES
+        most = (self._outbox.least_limit_bytes - 400) // wire_control.LINK_BYTES
         topology = Topology(own.mac, self._config.tc_slow_s, info, links[:most])
         sequence = self._next_sequence()
         tail = wire.tail_of(own.epoch, sequence, wire_control.encode_tc(topology))
@@ -274,7 +268,7 @@ class Control:
     def refresh_info(self, *, now: float) -> None:
         """Put what this node tells of itself into the graph."""
         info = self._own_info()
-        ratio = min(self._busy_ratio + sum(self._neighbours.sending.values()), 1.0)
+        ratio = min(self._busy_ratio + self._links.sending_ratio, 1.0)
         told = self._graph.own.info.utilisation_ratio
         if abs(ratio - told) <= _UTILISATION_STEP:
             ratio = told

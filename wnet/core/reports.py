@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from wnet.core.link import Link
-from wnet.core.neighbours import Neighbours
+from wnet.core.links import LinkTable
 from wnet.core.routes import Routes
 from wnet.core.snapshot import EdgeState, LinkState, NodeState, RouteState, Snapshot
 from wnet.core.topology import TopologyGraph
@@ -13,7 +13,7 @@ from wnet.core.topology import TopologyGraph
 
 def snapshot(
     graph: TopologyGraph,
-    neighbours: Neighbours,
+    links: LinkTable,
     routes: Routes,
     mprs: frozenset[bytes],
     *,
@@ -36,9 +36,9 @@ def snapshot(
         )
         for node in graph.nodes.values()
     )
-    links = tuple(_link(graph, link, link.neighbour in mprs, now) for link in neighbours)
+    states = tuple(_link(graph, link, link.neighbour in mprs, now) for link in links)
     own = graph.own
-    return Snapshot(now, own.mac, own.epoch, links, nodes, _edges(graph, now), found, groups, queued, counts)
+    return Snapshot(now, own.mac, own.epoch, states, nodes, _edges(graph, now), found, groups, queued, counts)
 
 
 def _link(graph: TopologyGraph, link: Link, is_mpr: bool, now: float) -> LinkState:

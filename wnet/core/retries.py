@@ -14,10 +14,9 @@ from __future__ import annotations
 import heapq
 from typing import Protocol
 
-from wnet.config import MeshConfig
 from wnet.core import wire
+from wnet.core.context import Context
 from wnet.core.events import Count, Drop, LinkDownReason
-from wnet.core.journal import Journal
 from wnet.core.link import Link
 from wnet.core.transmissions import Entry, Packet, Transmission
 from wnet.core.wire_control import Ack
@@ -52,9 +51,9 @@ class Owner(Protocol):
 class Retries:
     """All transmissions that await an acknowledgement."""
 
-    def __init__(self, config: MeshConfig, journal: Journal, owner: Owner) -> None:
-        self._config = config
-        self._journal = journal
+    def __init__(self, context: Context, owner: Owner) -> None:
+        self._config = context.config
+        self._journal = context.journal
         self._owner = owner
         self._due: list[tuple[float, int, Transmission, int]] = []
         self._order = 0
