@@ -330,6 +330,20 @@ def test_a_frame_under_way_at_the_cut_is_no_sign_of_life(make_mesh_net) -> None:
     assert lost.now - cut_s <= 0.16  # `lost_after_s` is 0.12
 
 
+def test_who_is_heard_but_does_not_answer_is_lost_after_three_times_the_wait(make_mesh_net) -> None:
+    net = make_mesh_net()
+    net.line("ab")
+    assert net.run(5.0, until=net.all_known)
+    net.run(5.0)
+    net.one_way("a", "b", is_cut=True)
+    cut_s = net.now
+    net.every(0.02, lambda: net.send("b", b"\xff" * 6), until_s=net.now + 1.0)  # asks for no acknowledgement
+    net.every(0.02, lambda: net.send("a", "b"), until_s=net.now + 1.0)
+    net.run(1.0)
+    (lost,) = net.told("a", LinkDown)
+    assert 0.36 <= lost.now - cut_s <= 0.41
+
+
 def test_who_is_merely_heard_is_no_news_for_others(make_mesh_net) -> None:
     net = make_mesh_net()
     for name in "abx":

@@ -14,7 +14,10 @@ from wnet.core.topology import TopologyGraph
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """Settings and members stay as they are; graph and journal are kept by all parts; ``rng`` is for jitter and first sequence numbers."""
+    """Settings and members stay as they are; graph and journal are kept by all parts.
+
+    ``rng`` is for jitter and first sequence numbers.
+    """
 
     config: MeshConfig
     members: Sequence[Member]
