@@ -93,7 +93,12 @@ def reconnect_s(make_mesh_net, seed: int) -> float:
         net.change(*ends, is_cut=False)
     restored_s = net.now
     net.run(1.5)
-    first = [min([at for at in net.times(name) if at > restored_s], default=net.now) for name in "ad"]
+    return resumed_s(net, "ad", restored_s)
+
+
+def resumed_s(net, names: str, restored_s: float) -> float:
+    """How long after a moment all of some nodes have got a frame."""
+    first = [min([at for at in net.times(name) if at > restored_s], default=net.now) for name in names]
     return max(first) - restored_s
 
 
@@ -107,6 +112,43 @@ def test_traffic_flows_again_within_300_ms_of_a_silent_loss(make_mesh_net, cut: 
 def test_three_hops_carry_again_within_300_ms_of_the_end_of_an_outage(make_mesh_net) -> None:
     delays = [reconnect_s(make_mesh_net, seed) for seed in SEEDS]
     assert p90(delays) <= GOAL_S, sorted(delays)
+
+
+def join(net, name: str, group: bytes) -> None:
+    """Let a node's host report a group (IGMPv2)."""
+    ip = bytes((0x45, 0)) + bytes(7) + b"\x02" + bytes(10)
+    mac = b"\x01\x00\x5e" + group[1:]
+    report = mac + net.stations[name].mac + b"\x08\x00" + ip + b"\x16\0\0\0" + group
+    net.stations[name].mesh.originate(report, now=net.now)
+
+
+def test_the_other_relay_carries_soon_after_the_tenth_outage_as_after_the_first(make_mesh_net) -> None:
+    """Searching for 15 s and more, time and again, spends more than control may in the long run. What it finds has to
+    be told at once all the same."""
+    net = diamond(make_mesh_net, 1)
+    for number, name in enumerate(net.stations):
+        net.stations[name].mesh.set_addresses([bytes((10, 9, 0, number + 1))], now=net.now)
+        for group in range(3):
+            group_ip = bytes((239, 1, number, group))
+            net.every(30.0, lambda name=name, group_ip=group_ip: join(net, name, group_ip), until_s=net.now + 300.0)
+    for source, destination in ("ab", "ba"):  # goes on where ping ends
+        net.every(PING_S, lambda s=source, d=destination: net.send(s, d), until_s=net.now + 300.0)
+    delays = []
+    for _ in range(10):
+        old = relay_of(net, "a", "b")
+        pairs = {tuple(sorted((x[0], y[0]))) for x, y in net.paths}
+        for ends in pairs:
+            net.change(*ends, is_cut=True)
+        net.run(15.0)
+        for ends in pairs:
+            net.change(*ends, is_cut=old in ends)
+        restored_s = net.now
+        net.run(4.0)
+        delays.append(resumed_s(net, "ab", restored_s))
+        for ends in pairs:
+            net.change(*ends, is_cut=False)
+        net.run(6.0 + net.rng.random())
+    assert p90(delays) <= GOAL_S, delays
 
 
 def scattered(make_mesh_net, seed: int, reach: float):

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from wnet.config import MeshConfig
 from wnet.core import wire, wire_control
 from wnet.core.events import DuplicateAddress, LinkDown, LinkDownReason, LinkUp
+from wnet.core.links import MAX_LINKS
 from wnet.core.mesh import Member, Mesh
-from wnet.core.neighbours import MAX_LINKS
 from wnet.core.seal import SEAL_BYTES, Seal
 from wnet.core.wire_control import Attributes, Heard, Hello, NodeInfo
 

@@ -313,6 +313,53 @@ def test_a_frame_under_way_to_a_silent_relay_takes_the_alternate(make_mesh_net) 
     assert net.told("a", LinkDown)
 
 
+def test_a_frame_under_way_at_the_cut_is_no_sign_of_life(make_mesh_net) -> None:
+    """A neighbour that is heard but does not answer gets three times the wait of one that is silent, too."""
+    net = make_mesh_net()
+    net.line("ab")
+    assert net.run(5.0, until=net.all_known)
+    net.run(2.0)
+    net.send("b", "a", b"under way")
+    net.change("a", "b", is_cut=True)
+    net.run(0.001)
+    cut_s = net.now
+    net.every(0.02, lambda: net.send("a", "b"), until_s=net.now + 1.0)
+    net.run(1.0)
+    assert net.got("a") == [b"under way"]
+    (lost,) = net.told("a", LinkDown)
+    assert lost.now - cut_s <= 0.16  # `lost_after_s` is 0.12
+
+
+def test_who_is_heard_but_does_not_answer_is_lost_after_three_times_the_wait(make_mesh_net) -> None:
+    net = make_mesh_net()
+    net.line("ab")
+    assert net.run(5.0, until=net.all_known)
+    net.run(5.0)
+    net.one_way("a", "b", is_cut=True)
+    cut_s = net.now
+    net.every(0.02, lambda: net.send("b", b"\xff" * 6), until_s=net.now + 1.0)  # asks for no acknowledgement
+    net.every(0.02, lambda: net.send("a", "b"), until_s=net.now + 1.0)
+    net.run(1.0)
+    (lost,) = net.told("a", LinkDown)
+    assert 0.36 <= lost.now - cut_s <= 0.41
+
+
+def test_who_is_merely_heard_is_no_news_for_others(make_mesh_net) -> None:
+    net = make_mesh_net()
+    for name in "abx":
+        net.add(name)
+    net.radio("a", "b")
+    net.radio("x", "a", is_cut=True)
+    net.run(10.0)
+    before = len(net.stations["a"].sent)
+    net.one_way("x", "a", is_cut=False)
+    assert net.run(3.0, until=lambda: len(net.stations["a"].mesh.snapshot(now=net.now).links) == 2)
+    net.run(0.1)
+    kinds_since = kinds(net, "a")[before:]
+    assert wire.HELLO in kinds_since
+    assert wire.TC not in kinds_since
+
+
 def test_events_tell_of_links_and_routes(make_mesh_net) -> None:
     net = diamond(make_mesh_net)
     assert len(net.told("a", LinkUp)) == 2
@@ -378,7 +425,7 @@ def test_the_numbers_of_frames_wrap(make_mesh_net) -> None:
     for name in "abc":
         station = net.stations[name]
         station.mesh._forwarder._sequence = 2**32 - 5
-        for link in station.mesh._neighbours:
+        for link in station.mesh._links:
             link.next_sequence = 0xFFFA
     net.run(30.0)  # TCs count on over the wrap, too
     for number in range(40):

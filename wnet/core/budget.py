@@ -25,10 +25,16 @@ class Budget:
         self._refill(now)
         self._saved_s = max(self._saved_s - airtime_s, -self._part * _BURST_S)
 
-    def wait_s(self, airtime_s: float, *, now: float) -> float:
-        """Return how long to wait until a frame is affordable, 0 if it is now."""
+    def wait_s(self, airtime_s: float, *, now: float, reserve_s: float = 0.0) -> float:
+        """Return how long to wait until a frame is affordable, 0 if it is now.
+
+        Args:
+            airtime_s: Of the frame.
+            now: Monotonic seconds.
+            reserve_s: What is saved in so much time is left for other frames.
+        """
         self._refill(now)
-        return max(airtime_s - self._saved_s, 0.0) / self._part
+        return max(airtime_s + reserve_s * self._part - self._saved_s, 0.0) / self._part
 
     @property
     def debt_wait_s(self) -> float:

@@ -13,20 +13,18 @@ Theory of operation.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
-from wnet.config import MeshConfig
 from wnet.core import wire, wire_control
 from wnet.core.budget import Budget
+from wnet.core.context import Context
 from wnet.core.flooding import Floods
-from wnet.core.journal import Journal
 from wnet.core.link import Link
-from wnet.core.members import Member
-from wnet.core.neighbours import Neighbours
+from wnet.core.links import LinkTable
 from wnet.core.outbox import CONTROL, FRAME_OVERHEAD_S, Outbox
-from wnet.core.topology import Node, TopologyGraph, incoming_of
+from wnet.core.topology import Node, incoming_of
 from wnet.core.transmissions import Packet
-from wnet.core.wire_control import Hello, NodeInfo, Topology
+from wnet.core.wire_control import Hello, Incoming, NodeInfo, Topology
 
 _AT_ONCE_S = 0.005
 """A change is told within this, at random, so that neighbours do not all speak at once."""
@@ -39,6 +37,8 @@ _TC_FAST_S = 1.0
 _SYNC_INTERVAL_S = 5.0
 _PATIENCE_S = 1.5
 _SLOW_SEARCH = 5
+_SEARCH_RESERVE_S = 5.0
+"""Searching leaves what is saved in this time, so that what it finds can be told at once."""
 _UTILISATION_STEP = 0.05
 
 
@@ -69,38 +69,36 @@ class Control:
 
     def __init__(
         self,
-        config: MeshConfig,
-        graph: TopologyGraph,
-        neighbours: Neighbours,
+        context: Context,
+        links: LinkTable,
         floods: Floods,
         outbox: Outbox,
-        members: Sequence[Member],
-        journal: Journal,
         *,
         next_sequence: Callable[[], int],
         own_info: Callable[[], NodeInfo],
-        rng: random.Random,
         now: float,
     ) -> None:
-        self._config = config
-        self._graph = graph
-        self._neighbours = neighbours
+        self._config = config = context.config
+        self._graph = context.graph
+        self._members = context.members
+        self._journal = context.journal
+        self._rng = rng = context.rng
+        self._links = links
         self._floods = floods
         self._outbox = outbox
-        self._members = members
-        self._journal = journal
         self._next_sequence = next_sequence
         self._own_info = own_info
-        self._rng = rng
         self._hello = _Trickle(config.hello_fast_s, config.hello_slow_s, now=now + config.hello_fast_s * rng.random())
         self._tc = _Trickle(_TC_FAST_S, config.tc_slow_s, now=now + _TC_FAST_S)
         self._is_tc_urgent = False
         self._promised = float("inf")
         """When the next HELLOs are due by what the last ones told."""
+        self._told = self._tc_content()
+        """What the last TC said."""
         self._foreign: tuple[int, int] | None = None
         self._search_due = now
         self._searched: dict[int, float] = {}
-        self._sequences = [0] * len(members)
+        self._sequences = [0] * len(context.members)
         self._budget = Budget(config.control_share, now=now)
         self._busy_s, self._busy_at, self._busy_ratio = 0.0, now, 0.0
 
@@ -110,7 +108,7 @@ class Control:
         """Links came or went, someone new was heard, or what this node tells of itself changed: tell at once, a loss
         before anything that is sent another way because of it."""
         self._hello.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
-        if self._graph.own.incoming or self._graph.own.tail:
+        if self._tc_content() != self._told:
             self._is_tc_urgent = True
             self._tc.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
 
@@ -202,7 +200,7 @@ class Control:
     def _send_hello(
         self, member: int, interval_s: float, mprs: frozenset[bytes], *, is_partial: bool, now: float
     ) -> None:
-        links = self._neighbours.heard(member, is_partial=is_partial, mprs=mprs, now=now)
+        links = self._links.heard(member, is_partial=is_partial, mprs=mprs, now=now)
         most = (self._outbox.limit_bytes(member) - 300) // wire_control.HEARD_BYTES
         if len(links) > most:  # in turn, from one HELLO to the next
             first = self._sequences[member] * most % len(links)
@@ -230,17 +228,19 @@ class Control:
         """Send partial HELLOs where a link was lost, and by a node that is alone."""
         fast_s, slow_s = self._config.hello_fast_s, self._config.hello_slow_s / _SLOW_SEARCH
         wait_s: dict[int, float] = {}
-        for link in self._neighbours:
+        for link in self._links:
             if link.lost_at is not None and now - link.lost_at < self._config.search_s * _SLOW_SEARCH:
                 is_fast = link.is_missed and now - link.lost_at < self._config.search_s
                 wait_s[link.member] = min(wait_s.get(link.member, slow_s), fast_s if is_fast else slow_s)
         if not self._graph.own.incoming:
             wait_s = {member: wait_s.get(member, slow_s) for member in range(len(self._members))}
         self._search_due = now + min(wait_s.values(), default=slow_s) * (1.0 - 0.1 * self._rng.random())
-        for member, interval_s in wait_s.items():
-            if now - self._searched.get(member, float("-inf")) < 0.8 * interval_s:
+        waited = {member: (now - self._searched.get(member, float("-inf"))) / wait_s[member] for member in wait_s}
+        for member in sorted(waited, key=lambda member: -waited[member]):
+            if waited[member] < 0.8:
                 continue
-            if self._budget.wait_s(self._airtime_s(100), now=now) == 0.0:
+            if self._budget.wait_s(self._airtime_s(100), now=now, reserve_s=_SEARCH_RESERVE_S) == 0.0:
+                interval_s = wait_s[member]
                 self._searched[member] = now
                 until_next_s = max(self._hello.due - now, interval_s)
                 self._send_hello(member, until_next_s, frozenset(), is_partial=True, now=now)
@@ -252,9 +252,9 @@ class Control:
         own = self._graph.own
         if not own.incoming and own.tail is None:
             return
-        links = incoming_of(own)
-        most = (min(map(self._outbox.limit_bytes, range(len(self._members)))) - 400) // wire_control.LINK_BYTES
-        topology = Topology(own.mac, self._config.tc_slow_s, own.info, links[:most])
+        self._told = info, links = self._tc_content()
+        most = (self._outbox.least_limit_bytes - 400) // wire_control.LINK_BYTES
+        topology = Topology(own.mac, self._config.tc_slow_s, info, links[:most])
         sequence = self._next_sequence()
         tail = wire.tail_of(own.epoch, sequence, wire_control.encode_tc(topology))
         self._graph.note_own_tc(sequence, tail, now=now)
@@ -262,10 +262,13 @@ class Control:
             self._budget.spend(self._airtime_s(len(tail)), now=now)
         self._is_tc_urgent = False
 
+    def _tc_content(self) -> tuple[NodeInfo, tuple[Incoming, ...]]:
+        return self._graph.own.info, incoming_of(self._graph.own)
+
     def refresh_info(self, *, now: float) -> None:
         """Put what this node tells of itself into the graph."""
         info = self._own_info()
-        ratio = min(self._busy_ratio + sum(self._neighbours.sending.values()), 1.0)
+        ratio = min(self._busy_ratio + self._links.sending_ratio, 1.0)
         told = self._graph.own.info.utilisation_ratio
         if abs(ratio - told) <= _UTILISATION_STEP:
             ratio = told

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import random
-from collections.abc import Sequence
 from typing import NamedTuple
 
-from wnet.config import MeshConfig
 from wnet.core import mpr, wire
+from wnet.core.context import Context
 from wnet.core.link import Link
-from wnet.core.members import Member
-from wnet.core.neighbours import Neighbours
+from wnet.core.links import LinkTable
 from wnet.core.outbox import Outbox
-from wnet.core.topology import TopologyGraph
 from wnet.core.transmissions import Entry, Packet, Transmission
 
 
@@ -28,22 +24,14 @@ class _Plan(NamedTuple):
 class Floods:
     """Who relays this node's floods, and sending them."""
 
-    def __init__(
-        self,
-        config: MeshConfig,
-        graph: TopologyGraph,
-        neighbours: Neighbours,
-        outbox: Outbox,
-        members: Sequence[Member],
-        rng: random.Random,
-    ) -> None:
-        self._graph = graph
-        self._neighbours = neighbours
+    def __init__(self, context: Context, links: LinkTable, outbox: Outbox) -> None:
+        self._graph = context.graph
+        self._links = links
         self._outbox = outbox
-        self._members = members
-        self._tries = config.broadcast_tries
-        self._jitter_s = config.relay_jitter_s
-        self._rng = rng
+        self._members = context.members
+        self._tries = context.config.broadcast_tries
+        self._jitter_s = context.config.relay_jitter_s
+        self._rng = context.rng
         self._version = -1
         self._plan = _Plan(frozenset(), {}, {})
 
@@ -79,7 +67,7 @@ class Floods:
         return self._plan
 
     def _make(self) -> _Plan:
-        best = self._neighbours.usable_nodes()
+        best = self._links.usable_nodes()
         own = self._graph.own.mac
         coverage: dict[bytes, set[bytes]] = {node: set() for node in best}
         for node in self._graph.nodes:

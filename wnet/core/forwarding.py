@@ -10,21 +10,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
-from wnet.config import MeshConfig
 from wnet.core import groups, wire
 from wnet.core.arp import Arp
+from wnet.core.context import Context
 from wnet.core.events import Count, Drop
 from wnet.core.flooding import Floods
 from wnet.core.groups import Groups
-from wnet.core.journal import Journal
 from wnet.core.link import Link
-from wnet.core.members import Member
-from wnet.core.neighbours import Neighbours
+from wnet.core.links import LinkTable
 from wnet.core.next_hops import NextHops
 from wnet.core.outbox import Outbox
 from wnet.core.routes import Routes
 from wnet.core.seen import Seen
-from wnet.core.topology import TopologyGraph
 from wnet.core.transmissions import Entry, Packet, Transmission
 from wnet.core.urgency import urgency_of, urgency_of_dscp
 
@@ -37,35 +34,29 @@ class Forwarder:
 
     def __init__(
         self,
-        config: MeshConfig,
-        graph: TopologyGraph,
-        neighbours: Neighbours,
+        context: Context,
+        links: LinkTable,
         routes: Routes,
         floods: Floods,
         outbox: Outbox,
-        members: Sequence[Member],
-        journal: Journal,
         own_groups: Groups,
         arp: Arp,
-        *,
-        first_sequence: int,
     ) -> None:
-        self._config = config
-        self._graph = graph
-        self._mac = graph.own.mac
-        self._epoch = graph.own.epoch
-        self._neighbours = neighbours
+        self._config = context.config
+        self._graph = context.graph
+        self._mac = context.graph.own.mac
+        self._epoch = context.graph.own.epoch
+        self._links = links
         self._routes = routes
         self._floods = floods
         self._outbox = outbox
-        self._members = members
-        self._journal = journal
+        self._journal = context.journal
         self._groups = own_groups
         self._arp = arp
-        self._sequence = first_sequence
+        self._sequence = context.rng.getrandbits(32)
         self._seen = Seen()
-        self._next_hops = NextHops(routes, neighbours, journal)
-        redundant = config.redundant_dscp
+        self._next_hops = NextHops(routes, links, context.journal)
+        redundant = context.config.redundant_dscp
         self._redundant_urgency = -1 if redundant is None else urgency_of_dscp(redundant)
         self.delivered: deque[bytes] = deque(maxlen=_MAX_DELIVERED)
 
@@ -172,7 +163,7 @@ class Forwarder:
             self._journal.count(Count.DUPLICATE)
             return
         self._deliver(data.tail)
-        if any(hop.peer_mac == own_member_mac for hop in data.hops) or self._neighbours.is_news(now=now):
+        if any(hop.peer_mac == own_member_mac for hop in data.hops) or self._links.is_news(now=now):
             self.relay_flood(data, link, now=now)
 
     def relay_flood(self, data: wire.Data, link: Link, *, now: float) -> None:
@@ -240,7 +231,7 @@ class Forwarder:
         self._outbox.submit(Transmission(packet, member, entries, tries, is_group=len(entries) > 1), now=now)
 
     def _send_routed(self, packet: Packet, now: float) -> None:
-        link = self._neighbours.best(packet.route[0])
+        link = self._links.best(packet.route[0])
         if link is None or packet.hop_limit <= 0:
             self._drop(packet, Drop.NO_ROUTE, now)
             return

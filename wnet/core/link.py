@@ -22,7 +22,7 @@ _TRAFFIC_PAUSE_S = 0.3
 
 
 class Link:
-    """State of one link; :mod:`wnet.core.neighbours` changes it.
+    """State of one link; :mod:`wnet.core.neighbours` makes it usable or not.
 
     ``told``: this node's frames as the neighbour receives them, by its word; None before. ``is_listed``: its last word
     was that it hears this node as it is now. ``is_usable``: and it has acknowledged a probe since.

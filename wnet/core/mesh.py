@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from wnet.config import MeshConfig
 from wnet.core import groups, reports, wire, wire_control
 from wnet.core.arp import Arp
+from wnet.core.context import Context
 from wnet.core.control import Control
 from wnet.core.events import Count, Drop, Event, LinkDownReason
 from wnet.core.flooding import Floods
@@ -18,6 +19,7 @@ from wnet.core.forwarding import Forwarder
 from wnet.core.groups import Groups
 from wnet.core.journal import Journal
 from wnet.core.link import Link
+from wnet.core.links import LinkTable
 from wnet.core.members import Member, Outgoing, Reception
 from wnet.core.neighbours import Neighbours
 from wnet.core.outbox import CONTROL, Outbox
@@ -67,64 +69,38 @@ class Mesh:
         """
         self._mac = mac
         self._probe_tries = max(config.tries, _LEAST_PROBE_TRIES)
-        self._members = list(members)
-        epoch &= 0xFFFFFFFF
         self._journal = Journal()
-        self._seal = Seal(config.key, epoch=epoch) if config.key else None
-        self._graph = TopologyGraph(mac, config, epoch=epoch)
-        self._outbox = Outbox(config, self._members, self._journal, self._seal, self._close)
-        self._retries = self._outbox.retries = Retries(config, self._journal, self)
+        self._graph = TopologyGraph(mac, config, epoch=epoch & 0xFFFFFFFF)
+        context = Context(config, tuple(members), self._graph, self._journal, rng)
+        seal = Seal(config.key, epoch=self._graph.own.epoch) if config.key else None
+        self._outbox = Outbox(context, seal, self._close)
+        self._retries = self._outbox.retries = Retries(context, self)
+        self._links = LinkTable(context)
         self._neighbours = Neighbours(
-            config,
-            self._graph,
-            self._members,
-            self._journal,
+            context,
+            self._links,
             on_change=lambda now, is_loss: self._control.changed(is_loss=is_loss, now=now),
             on_down=self._clear,
             probe=lambda link, now: self.probe(link, now=now),
             now=now,
         )
-        self._routes = Routes(self._graph, lambda node: self._neighbours.best(node) is not None)
-        self._floods = Floods(config, self._graph, self._neighbours, self._outbox, self._members, rng)
+        self._routes = Routes(self._graph, lambda node: self._links.best(node) is not None)
+        self._floods = Floods(context, self._links, self._outbox)
         self._groups, self._arp = Groups(mac, now=now), Arp(mac)
         self._forwarder = Forwarder(
-            config,
-            self._graph,
-            self._neighbours,
-            self._routes,
-            self._floods,
-            self._outbox,
-            self._members,
-            self._journal,
-            self._groups,
-            self._arp,
-            first_sequence=rng.getrandbits(32),
+            context, self._links, self._routes, self._floods, self._outbox, self._groups, self._arp
         )
         self._control = Control(
-            config,
-            self._graph,
-            self._neighbours,
+            context,
+            self._links,
             self._floods,
             self._outbox,
-            self._members,
-            self._journal,
             next_sequence=self._forwarder.next_sequence,
             own_info=lambda: NodeInfo(0.0, self._arp.addresses, self._groups.macs),
-            rng=rng,
             now=now,
         )
-
         self._receiver = Receiver(
-            config,
-            self._members,
-            self._seal,
-            self._graph,
-            self._neighbours,
-            self._outbox,
-            self._retries,
-            self._forwarder,
-            self._control,
-            self._journal,
+            context, seal, self._links, self._neighbours, self._outbox, self._retries, self._forwarder, self._control
         )
 
     @property
@@ -132,8 +108,7 @@ class Mesh:
         """The MTU that the mesh interface may have so that everything fits, multicast to one destination at least:
         1500, or less where a member or the seal leaves less. A unicast frame may be 16 bytes longer."""
         overhead = wire.HEADER_BYTES + wire.forward_list_bytes([1]) + wire.ETHERNET_BYTES
-        least = min((self._outbox.limit_bytes(member) for member in range(len(self._members))), default=1 << 16)
-        return min(MESH_MTU_BYTES, least - overhead)
+        return min(MESH_MTU_BYTES, self._outbox.least_limit_bytes - overhead)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -231,7 +206,7 @@ class Mesh:
         """Return links, topology, routes, groups and counters."""
         return reports.snapshot(
             self._graph,
-            self._neighbours,
+            self._links,
             self._routes,
             self._floods.mprs,
             groups=self._groups.macs,
@@ -242,7 +217,7 @@ class Mesh:
 
     def links(self, *, now: float) -> tuple[LinkState, ...]:
         """Return the links of this node, as in :meth:`snapshot`."""
-        return reports.links(self._graph, self._neighbours, self._floods.mprs, now=now)
+        return reports.link_states(self._graph, self._links, self._floods.mprs, now=now)
 
     def count(self, what: Count | Drop) -> None:
         """Count what only the edge can see."""

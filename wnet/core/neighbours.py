@@ -1,4 +1,4 @@
-"""Who is near: the links to neighbours, how they come up by HELLO and probe, and how they go.
+"""Who is near: how the links to neighbours come up, by HELLO and probe, and how they go.
 
 Theory of operation.
 * A HELLO makes its sender known. One that lists this node, with its present epoch, shows that the neighbour hears it;
@@ -7,32 +7,28 @@ Theory of operation.
 * A link goes down when the neighbour does not answer (:mod:`wnet.core.retries`), when its HELLO does not list this node
   any more, or when it was started anew. Silence alone only leads to a probe, after two and a half HELLO intervals, or
   sooner where steady traffic has stopped.
-* Bounded: 256 links; who never became a neighbour goes first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
-from wnet.config import MeshConfig
+from wnet.core.context import Context
 from wnet.core.events import Count, LinkDown, LinkDownReason, LinkUp
-from wnet.core.journal import Journal
 from wnet.core.link import Link
-from wnet.core.members import Member, Reception
-from wnet.core.topology import TopologyGraph
-from wnet.core.wire_control import Attributes, Heard, Hello
+from wnet.core.links import LinkTable, is_better
+from wnet.core.members import Reception
+from wnet.core.wire_control import Attributes, Hello
 
-MAX_LINKS = 256
 LOSS_INTERVAL_S = 5.0
 """How often a new loss ratio is made."""
 _FORGET_AFTER_S = 600.0
-_NEWS_S = 1.0
 _TRAFFIC_S = 2.0
 """A link that carried data within this before it was lost is missed, and searched for often."""
 
 
 class Neighbours:
-    """All links of one node.
+    """What HELLOs, probes and silence mean for the links of one node.
 
     ``on_change`` is called, with whether it is a loss, when links came or went or someone new was heard; ``on_down``
     for a link that is no longer used; ``probe`` to have one acknowledged.
@@ -40,49 +36,22 @@ class Neighbours:
 
     def __init__(
         self,
-        config: MeshConfig,
-        graph: TopologyGraph,
-        members: list[Member],
-        journal: Journal,
+        context: Context,
+        links: LinkTable,
         *,
         on_change: Callable[[float, bool], None],
         on_down: Callable[[Link, float], None],
         probe: Callable[[Link, float], None],
         now: float,
     ) -> None:
-        self._config = config
-        self._graph = graph
-        self._members = members
-        self._journal = journal
+        self._noise_dbm = context.config.noise_dbm
+        self._graph = context.graph
+        self._journal = context.journal
+        self._links = links
         self._on_change = on_change
         self._on_down = on_down
         self._probe = probe
-        self._links: dict[tuple[int, bytes], Link] = {}
-        self._best: dict[bytes, Link] = {}
-        self.sending: dict[bytes, float] = {}
-        """Of each neighbour, the part of the time that it sends."""
         self._loss_due = now + LOSS_INTERVAL_S
-        self._up_at = float("-inf")
-
-    def __iter__(self) -> Iterator[Link]:
-        return iter(self._links.values())
-
-    def find(self, member: int, peer_mac: bytes) -> Link | None:
-        """Return the link on which a frame with this source address came."""
-        return self._links.get((member, peer_mac))
-
-    def best(self, node: bytes) -> Link | None:
-        """Return the link to use to a neighbour, None if there is none."""
-        return self._best.get(node)
-
-    def usable_nodes(self) -> dict[bytes, Link]:
-        """Return the neighbours that can be used, with the link to use to each."""
-        return self._best
-
-    def is_news(self, *, now: float) -> bool:
-        """Whether a link came up so recently that neighbours may not know it, and so not choose this node as a relay
-        where it is the only one: it then relays unasked."""
-        return now - self._up_at < _NEWS_S
 
     # -- what is heard -----------------------------------------------------------------------------------------------
 
@@ -108,7 +77,7 @@ class Neighbours:
             return None
         is_new = link.last_heard == float("-inf") or (link.is_lost and link.last_heard <= (link.lost_at or 0.0))
         link.loss.count(ahead)
-        link.hear(reception, self._config.noise_dbm, now=now)
+        link.hear(reception, self._noise_dbm, now=now)
         link.peer_member, link.interval_s, link.digest = hello.member, hello.interval_s, hello.digest
         self._read_own_entry(link, hello, now)
         self._read_others(hello, now)
@@ -117,7 +86,7 @@ class Neighbours:
         return link
 
     def _link(self, member: int, peer_mac: bytes, hello: Hello, now: float) -> Link | None:
-        link = self._links.get((member, peer_mac))
+        link = self._links.find(member, peer_mac)
         if link is not None and (link.neighbour, link.epoch) != (hello.node, hello.epoch):
             if link.is_usable:
                 self.take_down(link, LinkDownReason.RESTARTED, now=now)
@@ -126,21 +95,10 @@ class Neighbours:
             link.forget_direction_in()
             link.forget_direction_out()
         if link is None:
-            if len(self._links) >= MAX_LINKS and not self._make_room():
-                return None
-            own_mac = self._members[member].mac
-            link = Link(member, own_mac, peer_mac, hello.node, rto_min_s=self._config.rto_min_s)
-            link.epoch = hello.epoch
-            self._links[member, peer_mac] = link
+            link = self._links.add(member, peer_mac, hello.node)
+            if link is not None:
+                link.epoch = hello.epoch
         return link
-
-    def _make_room(self) -> bool:
-        idle = [link for link in self._links.values() if not link.is_usable]
-        if not idle:
-            return False
-        oldest = min(idle, key=lambda link: (link.is_lost, link.is_listed, link.last_heard))
-        self._forget(oldest)
-        return True
 
     def _read_own_entry(self, link: Link, hello: Hello, now: float) -> None:
         own = self._graph.own
@@ -167,7 +125,7 @@ class Neighbours:
         links: dict[bytes, tuple[int, Attributes]] = {}
         hold_s = 3.5 * max(hello.interval_s, 1.0)
         for heard in hello.links:
-            if heard.is_usable and (heard.node not in links or _is_better(heard.incoming, links[heard.node][1])):
+            if heard.is_usable and (heard.node not in links or is_better(heard.incoming, links[heard.node][1])):
                 links[heard.node] = (heard.link_id, heard.incoming)
         told = None if hello.is_partial else links
         self._graph.update_neighbour(hello.node, hello.epoch, hello.info, told, hold_s=hold_s, now=now)
@@ -178,9 +136,8 @@ class Neighbours:
             for heard in hello.links:
                 if heard.is_usable and heard.outgoing is not None:
                     self._graph.suppose(hello.node, heard.node, heard.outgoing, hold_s=hold_s, now=now)
-        if hello.node in self._best or len(self.sending) < MAX_LINKS:
-            self.sending[hello.node] = hello.own_utilisation_ratio
-        self.update_best(hello.node)
+        self._links.note_sending(hello.node, hello.own_utilisation_ratio)
+        self._links.update_best(hello.node)
 
     # -- up and down -------------------------------------------------------------------------------------------------
 
@@ -190,7 +147,7 @@ class Neighbours:
             return
         link.is_usable = True
         link.lost_at = None
-        self._up_at = now
+        self._links.note_up(now=now)
         link.link_id = (link.link_id + 1) & 0x0F
         self._journal.tell(LinkUp(now, link.neighbour, link.member, link.peer_mac, link.link_id))
         self._republish(now)
@@ -207,47 +164,19 @@ class Neighbours:
         self._on_down(link, now)
 
     def _republish(self, now: float) -> None:
-        self.publish(now=now)
+        self._links.publish(now=now)
         self._graph.changed()  # of two links to one neighbour the other may look the same
-
-    def publish(self, *, now: float) -> None:
-        """Bring the links that this node tells of up to date in the graph."""
-        links: dict[bytes, tuple[int, Attributes]] = {}
-        for link in self._links.values():
-            if link.is_usable:
-                incoming = link.incoming()
-                if link.neighbour not in links or _is_better(incoming, links[link.neighbour][1]):
-                    links[link.neighbour] = (link.link_id, incoming)
-        self._graph.set_own_links(links, now=now)
-        for node in links.keys() | self._best.keys():
-            self.update_best(node)
-
-    def update_best(self, node: bytes) -> None:
-        """Choose the link to use to a neighbour: the one that receives this node's frames best."""
-        usable = [link for link in self._links.values() if link.neighbour == node and link.is_usable]
-        if not usable:
-            self._best.pop(node, None)
-            return
-        own = self._graph.own.mac
-        self._best[node] = max(
-            usable,
-            key=lambda link: (
-                not link.is_suspect,
-                self._graph.quality(own, node, link.told) if link.told else 0.0,
-                -link.member,
-            ),
-        )
 
     # -- time --------------------------------------------------------------------------------------------------------
 
     def next_due(self) -> float:
         """When :meth:`handle` has something to do."""
-        silent = (link.silence_due for link in self._links.values() if link.is_usable and link.probe is None)
+        silent = (link.silence_due for link in self._links if link.is_usable and link.probe is None)
         return min(self._loss_due, min(silent, default=float("inf")))
 
     def handle(self, *, now: float) -> None:
         """Probe who is silent; make new loss ratios."""
-        for link in self._links.values():
+        for link in self._links:
             if link.is_usable and link.probe is None and link.silence_due <= now:
                 link.gap_s = None
                 self._probe(link, now)
@@ -256,51 +185,8 @@ class Neighbours:
             self._close_loss_interval(now)
 
     def _close_loss_interval(self, now: float) -> None:
-        for link in list(self._links.values()):
+        for link in list(self._links):
             link.loss.close_interval()
             if not link.is_usable and now - max(link.last_heard, link.lost_at or 0.0) > _FORGET_AFTER_S:
-                self._forget(link)
-        self.publish(now=now)
-
-    def _forget(self, link: Link) -> None:
-        del self._links[link.member, link.peer_mac]
-        self.sending.pop(link.neighbour, None)
-
-    # -- what is told ------------------------------------------------------------------------------------------------
-
-    def heard(self, member: int, *, is_partial: bool, mprs: frozenset[bytes], now: float) -> tuple[Heard, ...]:
-        """Return what a HELLO on ``member`` lists: who is heard there, and the best links elsewhere.
-
-        ``is_partial``: only who is heard but no neighbour yet.
-        """
-        found = []
-        for link in self._links.values():
-            if link.is_usable:
-                if not is_partial and (link.member == member or self._best.get(link.neighbour) is link):
-                    found.append(self._entry(link, mprs))
-            elif link.member == member and _is_heard(link, now):
-                found.append(self._entry(link, mprs))
-        return tuple(found)
-
-    def _entry(self, link: Link, mprs: frozenset[bytes]) -> Heard:
-        return Heard(
-            link.neighbour,
-            link.epoch,
-            link.peer_member,
-            link.member,
-            link.link_id,
-            link.is_usable,
-            link.neighbour in mprs,
-            link.incoming(),
-            link.told,
-        )
-
-
-def _is_heard(link: Link, now: float) -> bool:
-    if now - link.last_heard > 3.5 * max(link.interval_s, 0.1):
-        return False
-    return link.lost_at is None or link.last_heard > link.lost_at
-
-
-def _is_better(one: Attributes, other: Attributes) -> bool:
-    return (-one.loss_ratio, one.snr_db or 0.0) > (-other.loss_ratio, other.snr_db or 0.0)
+                self._links.forget(link)
+        self._links.publish(now=now)

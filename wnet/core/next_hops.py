@@ -5,7 +5,7 @@ from __future__ import annotations
 from wnet.core.events import AlternateUsed, Count, Drop, RouteChanged
 from wnet.core.journal import Journal
 from wnet.core.link import Link
-from wnet.core.neighbours import Neighbours
+from wnet.core.links import LinkTable
 from wnet.core.routes import Route, Routes
 from wnet.core.transmissions import Packet
 
@@ -15,9 +15,9 @@ _MAX_TOLD = 1024
 class NextHops:
     """The choice, and the events about it; of the last 1024 destinations at most."""
 
-    def __init__(self, routes: Routes, neighbours: Neighbours, journal: Journal) -> None:
+    def __init__(self, routes: Routes, links: LinkTable, journal: Journal) -> None:
         self._routes = routes
-        self._neighbours = neighbours
+        self._links = links
         self._journal = journal
         self._told: dict[bytes, bytes | None] = {}
         self._avoided: dict[bytes, bytes] = {}
@@ -32,7 +32,7 @@ class NextHops:
         self._tell_route(destination, route, now)
         fallback: Link | None = None
         for hop in hops:
-            link = self._neighbours.best(hop)
+            link = self._links.best(hop)
             if link is None or link is but or hop == packet.via:
                 continue
             if not link.is_suspect:

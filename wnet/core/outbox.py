@@ -10,12 +10,11 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 
-from wnet.config import MeshConfig
 from wnet.core import wire, wire_control
+from wnet.core.context import Context
 from wnet.core.events import Count, Drop
-from wnet.core.journal import Journal
 from wnet.core.link import Link
-from wnet.core.members import Member, Outgoing
+from wnet.core.members import Outgoing
 from wnet.core.queues import CLASSES, MemberQueue
 from wnet.core.rates import rate_for
 from wnet.core.retries import ACK_TURN_S, Retries
@@ -29,6 +28,7 @@ ACKS_AT_ONCE = 8
 FRAME_OVERHEAD_S = 100e-6
 """What a radio spends on a frame beside its bits: preamble, access, the acknowledgement of the MAC."""
 _MAX_CONTROL = 256
+_MOST_BYTES = 1 << 16
 _MAX_LATER = 1024
 _FEWEST_BYTES = wire.AGGREGATED_BYTES + wire.HEADER_BYTES + wire.ETHERNET_BYTES
 
@@ -40,16 +40,15 @@ class Outbox:
 
     def __init__(
         self,
-        config: MeshConfig,
-        members: Sequence[Member],
-        journal: Journal,
+        context: Context,
         seal: Seal | None,
         on_closed: Callable[[Transmission, float], None],
     ) -> None:
         """``on_closed``: called with what cannot be sent, as all of its next hops have become unusable."""
+        config, members = context.config, context.members
         self._config = config
         self._members = members
-        self._journal = journal
+        self._journal = context.journal
         self._seal = seal
         self._on_closed = on_closed
         self.retries: Retries
@@ -70,6 +69,11 @@ class Outbox:
     def limit_bytes(self, member: int) -> int:
         """How long a body may be on a member."""
         return self._limits[member]
+
+    @property
+    def least_limit_bytes(self) -> int:
+        """How long a body may be on every member."""
+        return min(self._limits, default=_MOST_BYTES)
 
     # -- in ----------------------------------------------------------------------------------------------------------
 

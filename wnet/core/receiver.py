@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from wnet.config import MeshConfig
 from wnet.core import wire, wire_control
+from wnet.core.context import Context
 from wnet.core.control import Control
 from wnet.core.events import Count, Drop
 from wnet.core.forwarding import Forwarder
-from wnet.core.journal import Journal
 from wnet.core.link import Link
-from wnet.core.members import Member, Reception
+from wnet.core.links import LinkTable
+from wnet.core.members import Reception
 from wnet.core.neighbours import Neighbours
 from wnet.core.outbox import Outbox
 from wnet.core.retries import Retries
 from wnet.core.seal import Seal
-from wnet.core.topology import TopologyGraph
 
 #: What a node sends to one neighbour alone, at the rate that this link carries; all else may be at the slowest.
 _AT_LINK_RATE = frozenset({wire.PROBE, wire.UNICAST, wire.ROUTED})
@@ -27,27 +24,26 @@ class Receiver:
 
     def __init__(
         self,
-        config: MeshConfig,
-        members: Sequence[Member],
+        context: Context,
         seal: Seal | None,
-        graph: TopologyGraph,
+        links: LinkTable,
         neighbours: Neighbours,
         outbox: Outbox,
         retries: Retries,
         forwarder: Forwarder,
         control: Control,
-        journal: Journal,
     ) -> None:
-        self._noise_dbm = config.noise_dbm
-        self._members = members
+        self._noise_dbm = context.config.noise_dbm
+        self._members = context.members
+        self._graph = context.graph
+        self._journal = context.journal
         self._seal = seal
-        self._graph = graph
+        self._links = links
         self._neighbours = neighbours
         self._outbox = outbox
         self._retries = retries
         self._forwarder = forwarder
         self._control = control
-        self._journal = journal
 
     def receive(self, member: int, frame: bytes, *, reception: Reception | None, now: float) -> None:
         """Take a frame, from its destination address on. Never raises."""
@@ -63,7 +59,7 @@ class Receiver:
         if isinstance(body, Drop):
             self._journal.count(body)
             return
-        link = self._neighbours.find(member, source)
+        link = self._links.find(member, source)
         if body[:1] == wire.AGGREGATE_HEAD:
             bodies = wire.split(body)
             if isinstance(bodies, Drop):
@@ -152,7 +148,7 @@ class Receiver:
             self._journal.count(topology)
             return
         age_s = data.sequence * wire.AGE_UNIT_S
-        is_relay = any(hop.peer_mac == own_mac for hop in data.hops) or self._neighbours.is_news(now=now)
+        is_relay = any(hop.peer_mac == own_mac for hop in data.hops) or self._links.is_news(now=now)
         if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and is_relay:
             self._control.account(len(data.tail), now=now)
             self._forwarder.relay_flood(data, link, now=now)

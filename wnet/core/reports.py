@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from wnet.core.link import Link
-from wnet.core.neighbours import Neighbours
+from wnet.core.links import LinkTable
 from wnet.core.routes import Routes
 from wnet.core.snapshot import EdgeState, LinkState, NodeState, RouteState, Snapshot
 from wnet.core.topology import TopologyGraph
@@ -13,7 +13,7 @@ from wnet.core.topology import TopologyGraph
 
 def snapshot(
     graph: TopologyGraph,
-    neighbours: Neighbours,
+    links: LinkTable,
     routes: Routes,
     mprs: frozenset[bytes],
     *,
@@ -36,13 +36,13 @@ def snapshot(
         )
         for node in graph.nodes.values()
     )
-    own, told = graph.own, links(graph, neighbours, mprs, now=now)
+    own, told = graph.own, link_states(graph, links, mprs, now=now)
     return Snapshot(now, own.mac, own.epoch, told, nodes, _edges(graph, now), found, groups, queued, counts)
 
 
-def links(graph: TopologyGraph, neighbours: Neighbours, mprs: frozenset[bytes], *, now: float) -> tuple[LinkState, ...]:
+def link_states(graph: TopologyGraph, links: LinkTable, mprs: frozenset[bytes], *, now: float) -> tuple[LinkState, ...]:
     """Return the links of this node alone, which costs no search for paths."""
-    return tuple(_link(graph, link, link.neighbour in mprs, now) for link in neighbours)
+    return tuple(_link(graph, link, link.neighbour in mprs, now) for link in links)
 
 
 def _link(graph: TopologyGraph, link: Link, is_mpr: bool, now: float) -> LinkState:

@@ -14,10 +14,9 @@ from __future__ import annotations
 import heapq
 from typing import Protocol
 
-from wnet.config import MeshConfig
 from wnet.core import wire
+from wnet.core.context import Context
 from wnet.core.events import Count, Drop, LinkDownReason
-from wnet.core.journal import Journal
 from wnet.core.link import Link
 from wnet.core.transmissions import Entry, Packet, Transmission
 from wnet.core.wire_control import Ack
@@ -52,9 +51,9 @@ class Owner(Protocol):
 class Retries:
     """All transmissions that await an acknowledgement."""
 
-    def __init__(self, config: MeshConfig, journal: Journal, owner: Owner) -> None:
-        self._config = config
-        self._journal = journal
+    def __init__(self, context: Context, owner: Owner) -> None:
+        self._config = context.config
+        self._journal = context.journal
         self._owner = owner
         self._due: list[tuple[float, int, Transmission, int]] = []
         self._order = 0
@@ -142,10 +141,12 @@ class Retries:
                 self.forget(transmission, entry)
 
     def _is_gone(self, link: Link, now: float) -> bool:
+        if not link.is_usable or link.misses < _LEAST_MISSES:
+            return False
         patience_s = max(self._config.lost_after_s, 2.0 * link.timer.rto_s)
-        if link.last_heard >= link.missed_since:
-            patience_s *= _ONE_WAY_PATIENCE
-        return link.is_usable and link.misses >= _LEAST_MISSES and now - link.missed_since >= patience_s
+        if now - max(link.missed_since, link.last_heard) >= patience_s:
+            return True
+        return now - link.missed_since >= _ONE_WAY_PATIENCE * patience_s
 
     def _give_up(self, transmission: Transmission, now: float) -> None:
         for entry in list(transmission.entries):
