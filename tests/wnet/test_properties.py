@@ -146,6 +146,33 @@ def test_whatever_happens(make_mesh_net, pairs, losses, story, seed: int) -> Non
     told.check()
 
 
+def test_who_does_not_hear_us_any_more_is_no_relay(make_mesh_net) -> None:
+    """A story that was found so: d counts on a, which has told others that it lost d, and covers most."""
+    pairs = [
+        tuple(ends)
+        for ends in ["dc", "ce", "gb", "be", "ce", "dg", "bf", "ad", "cd", "ea", "ce", "gb", "cg", "ba", "ga", "df"]
+    ]
+    losses = [0.0, 0.3, 0.3, 0.0, 0.1, 0.3, 0.0, 0.0, 0.0, 0.3, 0.3, 0.3, 0.3, 0.0, 0.1, 0.0]
+    told = Story(make_mesh_net(seed=254412), pairs, losses)
+    told.net.run(2.0)
+    told.tell("restart", "f")
+    told.tell("pass", 0.001)
+    told.tell("restart", "f")
+    for ends, dscp in (("cd", 46), ("fg", 0), ("gc", 46)):
+        told.tell("send", tuple(ends), dscp)
+    told.tell("join", "a")
+    told.tell("send", ("a", "c"), 0)
+    told.tell("cut", ("d", "a"))
+    told.tell("send", ("f", "c"), 46)
+    told.tell("pass", 0.001)
+    told.tell("silence", "f")
+    for ends in ("ad", "dg"):
+        told.tell("pass", 0.2)
+        told.tell("send", tuple(ends), 46)
+    told.net.run(2.0)
+    told.check()
+
+
 @RELAXED
 @given(st.lists(pair, min_size=4, max_size=16), stories, st.integers(0, 2**32 - 1))
 def test_in_the_end_everyone_finds_everyone_whom_a_path_leads_to(make_mesh_net, pairs, story, seed: int) -> None:

@@ -69,16 +69,14 @@ class Floods:
     def _make(self) -> _Plan:
         best = self._links.usable_nodes()
         own = self._graph.own.mac
-        coverage: dict[bytes, set[bytes]] = {node: set() for node in best}
+        costs = {node: cost for node in best if (cost := self._graph.cost(own, node)) is not None}
+        coverage: dict[bytes, set[bytes]] = {node: set() for node in costs}  # who does not hear us relays nothing
         for node in self._graph.nodes:
-            if node != own and node not in best:
+            if node != own and node not in costs:
                 for sender in self._graph.senders_to(node):
                     if sender in coverage:
                         coverage[sender].add(node)
-        costs = {node: self._graph.cost(own, node) or float("inf") for node in best}
-        mprs = (
-            mpr.select({node: frozenset(covered) for node, covered in coverage.items()}, costs) if best else frozenset()
-        )
+        mprs = mpr.select({node: frozenset(covered) for node, covered in coverage.items()}, costs)
         relays: dict[int, list[Link]] = {}
         on_member: dict[int, list[bytes]] = {}
         for node, link in best.items():
@@ -87,4 +85,4 @@ class Floods:
             if node in mprs:
                 relays[link.member].append(link)
         alone = {member: nodes[0] for member, nodes in on_member.items() if len(nodes) == 1}
-        return _Plan(frozenset(mprs), relays, alone)
+        return _Plan(mprs, relays, alone)
