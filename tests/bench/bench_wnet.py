@@ -43,7 +43,12 @@ Found = dict[str, Any]
 
 
 def reroute(mesh: Mesh, options: argparse.Namespace) -> Found:
-    return {case.name: measure(case, mesh, options.engine, options.cycles) for case in CASES}
+    found: Found = {}
+    for case in CASES:
+        if options.case in case.name:
+            found[case.name] = measure(case, mesh, options.engine, options.cycles)
+            print(mesh.name, case.name, found[case.name], flush=True)
+    return found
 
 
 def multicast(mesh: Mesh, _options: argparse.Namespace) -> Found:
@@ -172,7 +177,8 @@ def run(part: str, options: argparse.Namespace) -> int:
             print(part, name, json.dumps(found), flush=True)
         return 0
     box = [sys.executable, "-m", "netlab", "vm", "--clock", "virtual", "--timeout", "3400"]
-    words = [part, "--mesh", *options.mesh, "--results", str(options.results), "--cycles", str(options.cycles)]
+    words = [part, "--mesh", *options.mesh, "--results", str(options.results)]
+    words += ["--cycles", str(options.cycles), "--case", options.case]
     command = [*box, "--output", str(options.results), "--", sys.executable, __file__, *words]
     return subprocess.run(command, cwd=ROOT, check=False).returncode
 
@@ -182,6 +188,7 @@ def main() -> int:
     parser.add_argument("part", nargs="*", choices=[*PARTS, []])
     parser.add_argument("--mesh", nargs="+", default=list(MESHES), choices=list(MESHES))
     parser.add_argument("--cycles", type=int, default=10, help="of every case of reroute")
+    parser.add_argument("--case", default="", help="of reroute, only those with this in their name")
     parser.add_argument("--engine", default="air")
     parser.add_argument("--results", type=Path, default=ROOT / "captures" / "wnet_bench")
     parser.add_argument("--write", type=Path, metavar="FILE", help="make the document of what is there")
