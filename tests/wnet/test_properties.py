@@ -123,6 +123,8 @@ class Story:
         relays = {link.neighbour for link in state.links if link.is_mpr}
         two_hops = {b for a, b in edges if a in near} - near - {own}
         assert two_hops <= {b for a, b in edges if a in relays}
+        usable = {link.neighbour for link in state.links if link.is_usable}
+        assert set(net.stations[each].mesh._links.usable_nodes()) == usable
         assert len(state.nodes) <= len(NAMES)
         for link in state.links:
             assert link.in_flight <= 1024 + 8
