@@ -9,7 +9,6 @@ import os
 import signal
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import click
@@ -17,6 +16,7 @@ import click
 from netlab.cli.terminal import exec_with_terminal
 from netlab.errors import LabError
 from netlab.lab import registry
+from netlab.lab.commands import exec_request
 from netlab.lab.control import ControlClient
 
 lab_option = click.option("--lab", "lab_name", metavar="NAME", help="Which lab, where more than one is running.")
@@ -79,7 +79,7 @@ def exec_command(lab_name: str | None, node: str, argv: tuple[str, ...]) -> None
     """Run a command in NODE; its exit code is ours. Example: netlab exec robot1 -- ping -c3 base"""
     command = argv[1:] if argv[0] == "--" else argv
     connection = ControlClient(registry.find(lab_name).control_socket)
-    request = {"do": "exec", "node": node, "argv": command, "env": _terminal_env(), "cwd": str(Path.cwd())}
+    request = exec_request(node, command, _terminal_env())
     if sys.stdin.isatty() and sys.stdout.isatty():
         sys.exit(exec_with_terminal(connection, request))
     connection.request(request, [0, 1, 2])
@@ -98,7 +98,7 @@ def shell(lab_name: str | None, node: str) -> None:
     """Open your shell in NODE."""
     connection = ControlClient(registry.find(lab_name).control_socket)
     argv = [os.environ.get("SHELL") or "/bin/sh"]
-    request = {"do": "exec", "node": node, "argv": argv, "env": _terminal_env(), "cwd": str(Path.cwd())}
+    request = exec_request(node, argv, _terminal_env())
     if sys.stdin.isatty():
         sys.exit(exec_with_terminal(connection, request))
     connection.request(request, [0, 1, 2])  # a script on standard input
