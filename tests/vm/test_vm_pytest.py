@@ -207,6 +207,7 @@ def interrupt():
 
 def pytest_sessionstart(session):
     if "NETLAB_VM" not in os.environ:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background ignores it
         threading.Thread(target=interrupt, daemon=True).start()
 """
 
