@@ -173,7 +173,9 @@ def run(part: str, options: argparse.Namespace) -> int:
     if part in REAL_TIME or INSIDE in os.environ:
         for name in options.mesh:
             found = PARTS[part](MESHES[name], options)
-            (options.results / f"{part}.{name}.json").write_text(json.dumps(found))
+            file = options.results / f"{part}.{name}.json"
+            earlier = json.loads(file.read_text()) if file.exists() else {}
+            file.write_text(json.dumps({**earlier, **found}))
             print(part, name, json.dumps(found), flush=True)
         return 0
     box = [sys.executable, "-m", "netlab", "vm", "--clock", "virtual", "--timeout", "3400"]

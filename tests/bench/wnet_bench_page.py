@@ -70,8 +70,8 @@ def _rows(rows: Sequence[Sequence[str]]) -> str:
 
 
 def _reroute(found: dict[str, Any]) -> list[list[str]]:
-    cycles = max(len(delays) for mesh in found.values() for delays in mesh.values())
-    rows = [[f"s, p50 / p90 of {cycles}", *found]]
+    cycles = {name: max(len(delays) for delays in mesh.values()) for name, mesh in found.items()}
+    rows = [["s, p50 / p90 (cycles)", *(f"{name} ({cycles[name]})" for name in found)]]
     rows += [[case.name, *(_delays(found[name].get(case.name)) for name in found)] for case in CASES]
     return rows
 
