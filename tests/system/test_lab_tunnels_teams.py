@@ -45,15 +45,17 @@ def test_the_final_begins_with_everybody_in_contact(make_lab: MakeLab) -> None:
 
 def test_full_maps_take_only_what_is_left(make_lab: MakeLab) -> None:
     result = shortened(make_lab, "full_maps", 20)
-    # So few of one node say little: the team's together, as (how many, p90, longest).
-    wanted = {"command": (40, 0.1, 0.25), "management": (80, 0.2, 0.6), "telemetry": (80, 0.3, 0.6)}
-    for topic, (count, p90_s, longest_s) in wanted.items():
+    # So few of one node say little: the team's together, as (how many, p90, p97). Where round trips vary as much as here,
+    # a message whose frame was lost is sent again after up to half a second: each may be that late.
+    wanted = {"command": (40, 0.1, 0.25), "management": (80, 0.2, 0.5), "telemetry": (80, 0.3, 0.5)}
+    for topic, (count, p90_s, p97_s) in wanted.items():
         streams = [stream for stream in result.trace.streams if stream.topic == topic]
         latencies = sorted(row.latency_s for stream in streams for row in result.trace.delivered[stream.index])
         print(f"{topic}: p90 {percentile(latencies, 0.9):.3f} s, longest {latencies[-1]:.3f} s")
         assert len(latencies) == count, result.report()
         assert percentile(latencies, 0.9) <= p90_s, result.report()
-        assert latencies[-1] <= longest_s, result.report()
+        assert percentile(latencies, 0.97) <= p97_s, result.report()
+        assert latencies[-1] <= 0.6, result.report()
     maps = [row for row in result.summary["streams"] if row["topic"] == "full_map"]
     assert sum(row["delivered"] for row in maps) < 0.5 * sum(row["sent"] for row in maps), "the channel is saturated"
     artifacts = [row for row in result.summary["streams"] if row["topic"] == "artifact"]
