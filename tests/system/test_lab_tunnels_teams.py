@@ -45,8 +45,8 @@ def test_the_final_begins_with_everybody_in_contact(make_lab: MakeLab) -> None:
 
 def test_full_maps_take_only_what_is_left(make_lab: MakeLab) -> None:
     result = shortened(make_lab, "full_maps", 20)
-    # So few of one node say little: the team's together, as (how many, p90, p97). Where round trips vary as much as here,
-    # a message whose frame was lost is sent again after up to half a second: each may be that late.
+    # So few of one node say little: the team's together, as (how many, p90, p97). Where round trips vary so much,
+    # a lost frame is sent again after up to half a second, and one message may lose two.
     wanted = {"command": (40, 0.1, 0.25), "management": (80, 0.2, 0.5), "telemetry": (80, 0.3, 0.5)}
     for topic, (count, p90_s, p97_s) in wanted.items():
         streams = [stream for stream in result.trace.streams if stream.topic == topic]
@@ -55,7 +55,7 @@ def test_full_maps_take_only_what_is_left(make_lab: MakeLab) -> None:
         assert len(latencies) == count, result.report()
         assert percentile(latencies, 0.9) <= p90_s, result.report()
         assert percentile(latencies, 0.97) <= p97_s, result.report()
-        assert latencies[-1] <= 0.6, result.report()
+        assert latencies[-1] <= 1.2, result.report()
     maps = [row for row in result.summary["streams"] if row["topic"] == "full_map"]
     assert sum(row["delivered"] for row in maps) < 0.5 * sum(row["sent"] for row in maps), "the channel is saturated"
     artifacts = [row for row in result.summary["streams"] if row["topic"] == "artifact"]
