@@ -45,7 +45,11 @@ def disagreements(engine: str, asked: tuple[Cell, ...], built: tuple[Cell, ...])
 
 @in_lab
 def test_a_short_trial_agrees(engine: str) -> None:
-    assert disagreements(engine, SHORT, SHORT) == []
+    found = disagreements(engine, SHORT, SHORT)
+    if found and engine == "netem":  # the kernel's draws have no seed: by chance one of all figures may be 4 sigma off
+        print("\n".join(found))
+        found = disagreements(engine, SHORT, SHORT)
+    assert found == []
 
 
 @in_lab
