@@ -96,7 +96,7 @@ def reconnect_s(make_mesh_net, seed: int) -> float:
     return resumed_s(net, "ad", restored_s)
 
 
-def resumed_s(net, names: str, restored_s: float) -> float:
+def resumed_s(net, names: Iterable[str], restored_s: float) -> float:
     """How long after a moment all of some nodes have got a frame."""
     first = [min([at for at in net.times(name) if at > restored_s], default=net.now) for name in names]
     return max(first) - restored_s
@@ -151,17 +151,21 @@ def test_the_other_relay_carries_soon_after_the_tenth_outage_as_after_the_first(
     assert p90(delays) <= GOAL_S, delays
 
 
+def places(seed: int) -> list[tuple[str, tuple[float, float]]]:
+    """Where twenty nodes are on a unit square."""
+    rng = Random(seed)
+    return [(f"n{i:02}", (rng.random(), rng.random())) for i in range(20)]
+
+
 def scattered(make_mesh_net, seed: int, reach: float):
-    """Twenty nodes on a unit square that hear each other up to ``reach``."""
-    net, rng = make_mesh_net(seed=seed), Random(seed)
-    places = [(rng.random(), rng.random()) for _ in range(20)]
-    names = [f"n{i:02}" for i in range(20)]
-    for name in names:
+    """Twenty nodes that hear each other up to ``reach``."""
+    net, nodes = make_mesh_net(seed=seed), places(seed)
+    for name, _place in nodes:
         net.add(name)
-    for i, name in enumerate(names):
-        for j in range(i):
-            if math.dist(places[i], places[j]) <= reach:
-                net.radio(name, names[j], snr_db=20.0)
+    for i, (name, place) in enumerate(nodes):
+        for other, its_place in nodes[:i]:
+            if math.dist(place, its_place) <= reach:
+                net.radio(name, other, snr_db=20.0)
     return net
 
 

@@ -31,7 +31,7 @@ class Budget:
         Args:
             airtime_s: Of the frame.
             now: Monotonic seconds.
-            reserve_s: What is saved in so much time is left for other frames.
+            reserve_s: What is saved in so much time is left for other frames; below 0, so much of a debt is allowed.
         """
         self._refill(now)
         return max(airtime_s + reserve_s * self._part - self._saved_s, 0.0) / self._part

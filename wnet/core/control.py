@@ -5,14 +5,15 @@ Theory of operation.
   nothing does; a change is told at once, within a few milliseconds.
 * A link that carried traffic and was lost is searched for with short, partial HELLOs every ``hello_fast_s`` for
   ``search_s``; others, and by a node that is alone, at a fifth of ``hello_slow_s``.
-* HELLOs tell a digest of all TCs held. Where that of a new neighbour differs, it is sent what is known: so two parts of
-  a team that meet know each other without waiting for the next round of TCs.
-* All that is bounded by the team's share of the channel (:mod:`wnet.core.budget`).
+* HELLOs tell a digest of all TCs held. Where that of a new neighbour differs, it is sent what came here since both last
+  knew the same: so two parts of a team that meet know each other without waiting for the next round of TCs, and where a
+  whole team's links come back at once, nobody is sent what all know.
+* All that is bounded by the team's share of the channel (:mod:`wnet.core.budget`). Links that come up are told on
+  credit.
 """
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 
 from wnet.core import wire, wire_control
@@ -24,44 +25,31 @@ from wnet.core.links import LinkTable
 from wnet.core.outbox import CONTROL, FRAME_OVERHEAD_S, Outbox
 from wnet.core.topology import Node, incoming_of
 from wnet.core.transmissions import Packet
+from wnet.core.trickle import Trickle
 from wnet.core.wire_control import Hello, Incoming, NodeInfo, Topology
 
 _AT_ONCE_S = 0.005
 """A change is told within this, at random, so that neighbours do not all speak at once."""
 _SPACING_S = 0.02
+_FLOOD_SHARE, _MOST_SPACING_S = 0.1, 0.2
+"""TCs of one node follow one another so that they, relayed by all, take no more than this part of the channel."""
+_GATHER = 0.25
+"""A TC waits for other links to come up for this part of that time, or up to twice as long."""
 _LEAST_WAIT_S = 0.001
+_CREDIT_S, _RELAY_CREDIT_S = 10.0, 5.0
+"""Links that come up are told on credit: many come at once, then none for long. Those that go spend what is saved."""
 _LONGEST_INTERVALS = 3.0
 """A debt does not delay HELLOs by more than so many of the slow intervals."""
 _TC_FAST_S = 1.0
 """A changed TC is repeated after this; digests tell who lacks it then."""
 _SYNC_INTERVAL_S = 5.0
-_PATIENCE_S = 1.5
+_PATIENCE_S = 0.5
+_HEARD_BY_ALL_S = 0.1
+"""A radio's new neighbours come up together; what one was sent within this, the others have heard."""
 _SLOW_SEARCH = 5
 _SEARCH_RESERVE_S = 5.0
 """Searching leaves what is saved in this time, so that what it finds can be told at once."""
 _UTILISATION_STEP = 0.05
-
-
-class _Trickle:
-    """One interval that doubles: ``fast_s`` after a change, at last ``slow_s``."""
-
-    def __init__(self, fast_s: float, slow_s: float, *, now: float) -> None:
-        self._fast_s, self._slow_s = min(fast_s, slow_s), slow_s
-        self.interval_s = self._fast_s
-        self.due = now
-        self._sent_at = float("-inf")
-
-    def reset(self, delay_s: float, *, now: float) -> None:
-        self.interval_s = self._fast_s
-        self.due = min(self.due, max(now + delay_s, self._sent_at + _SPACING_S))
-
-    def sent(self, rng: random.Random, *, now: float) -> float:
-        """Note that it was sent; return the time until the next, drawn from the last quarter of the interval."""
-        self._sent_at = now
-        wait_s = self.interval_s * (1.0 - 0.25 * rng.random())
-        self.due = now + wait_s
-        self.interval_s = min(2.0 * self.interval_s, self._slow_s)
-        return wait_s
 
 
 class Control:
@@ -88,14 +76,15 @@ class Control:
         self._outbox = outbox
         self._next_sequence = next_sequence
         self._own_info = own_info
-        self._hello = _Trickle(config.hello_fast_s, config.hello_slow_s, now=now + config.hello_fast_s * rng.random())
-        self._tc = _Trickle(_TC_FAST_S, config.tc_slow_s, now=now + _TC_FAST_S)
-        self._is_tc_urgent = False
+        self._hello = Trickle(config.hello_fast_s, config.hello_slow_s, now=now + config.hello_fast_s * rng.random())
+        self._tc = Trickle(_TC_FAST_S, config.tc_slow_s, now=now + _TC_FAST_S)
         self._promised = float("inf")
         """When the next HELLOs are due by what the last ones told."""
         self._told = self._tc_content()
         """What the last TC said."""
         self._foreign: tuple[int, int] | None = None
+        self._synchronised = [float("-inf")] * len(context.members)
+        """When known TCs were sent last, by member."""
         self._search_due = now
         self._searched: dict[int, float] = {}
         self._sequences = [0] * len(context.members)
@@ -107,10 +96,14 @@ class Control:
     def changed(self, *, is_loss: bool, now: float) -> None:
         """Links came or went, someone new was heard, or what this node tells of itself changed: tell at once, a loss
         before anything that is sent another way because of it."""
-        self._hello.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
+        credit_s = 0.0 if is_loss else _CREDIT_S
+        delay_s = 0.0 if is_loss else _AT_ONCE_S * self._rng.random()
+        self._hello.reset(delay_s, spacing_s=_SPACING_S, credit_s=credit_s, now=now)
         if self._tc_content() != self._told:
-            self._is_tc_urgent = True
-            self._tc.reset(0.0 if is_loss else _AT_ONCE_S * self._rng.random(), now=now)
+            flood_s = len(self._graph.nodes) * self._airtime_s(self._tc_bytes())
+            spacing_s = min(max(flood_s / _FLOOD_SHARE, _SPACING_S), _MOST_SPACING_S)
+            delay_s = 0.0 if is_loss else _GATHER * spacing_s * (1.0 + self._rng.random())
+            self._tc.reset(delay_s, spacing_s=spacing_s, credit_s=credit_s, now=now)
 
     def contradict(self, epoch: int, sequence: int, link: Link, *, now: float) -> None:
         """A TC names this node but is none of its own: an earlier start's, or another node's if a second comes."""
@@ -121,26 +114,42 @@ class Control:
     def compare(self, link: Link, *, now: float) -> None:
         """Look at the digest of a neighbour's HELLO; one that differs for long means that a TC was lost."""
         if link.digest == self._graph.digest:
-            link.differs_since = float("inf")
+            link.agreed_at, link.differs_since = now, float("inf")
             return
         link.differs_since = min(link.differs_since, now)
-        if now - link.differs_since > _PATIENCE_S:
-            self.synchronise(link, now=now)
+        is_patient = now - link.differs_since < _PATIENCE_S or now - link.synchronised_at < _SYNC_INTERVAL_S
+        if not is_patient and self._send_known(link, now=now):
+            link.synchronised_at = now
 
     def synchronise(self, link: Link, *, now: float) -> None:
-        """Send a neighbour the TCs that are known here, if it says that it knows others."""
-        if link.digest == self._graph.digest or now - link.synchronised_at < _SYNC_INTERVAL_S:
-            return
-        link.synchronised_at = now
+        """Send a new neighbour the TCs that it may lack."""
+        link.differs_since = float("inf")
+        if link.digest != self._graph.digest:
+            self._send_known(link, now=now)
+
+    def _send_known(self, link: Link, *, now: float) -> bool:
+        """Send the TCs that came since the neighbour knew the same ones. Return False, and send none, if some went out
+        just now: on a radio all hear what one is sent, and may say so in their next HELLOs."""
+        if self._members[link.member].is_radio and now - self._synchronised[link.member] < _HEARD_BY_ALL_S:
+            return False
+        self._synchronised[link.member] = now
+        own = self._graph.own
         for node in list(self._graph.nodes.values()):
-            if node.tail is not None and node.mac != link.neighbour:
+            if node.tail is None or node.mac == link.neighbour or node.came_at < link.agreed_at:
+                continue
+            if node is not own or not self._tc.is_urgent:  # else a newer one follows
                 self._budget.spend(self._airtime_s(len(node.tail)), now=now)
                 self._floods.send_to(link, self.packet_of(node, now=now), now=now)
+        return True
 
     def packet_of(self, node: Node, *, now: float) -> Packet:
         """Return a node's last TC as it travels."""
         age_s = max(now - node.told_at, 0.0)
         return Packet(wire.TC, node.tail or b"", self._config.hop_limit, CONTROL, None, age_s=age_s)
+
+    def may_relay_unasked(self, size_bytes: int, *, now: float) -> bool:
+        """Whether another node's TC that nobody asked this one to relay leaves enough for its own."""
+        return self._budget.wait_s(self._airtime_s(size_bytes), now=now, reserve_s=-_RELAY_CREDIT_S) == 0.0
 
     def account(self, size_bytes: int, *, now: float) -> None:
         """Account for what is sent besides: another node's TC, a probe."""
@@ -159,19 +168,22 @@ class Control:
             self._promised <= now or self._is_affordable(self._hello, self._hello_bytes(), now)
         ):
             self._send_hellos(now)
-        if self._tc.due <= now and self._is_affordable(self._tc, 80 + 10 * len(self._graph.own.incoming), now):
+        if self._tc.due <= now and self._is_affordable(self._tc, self._tc_bytes(), now):
             self._send_tc(now)
         if self._search_due <= now:
             self._search(now)
 
-    def _is_affordable(self, trickle: _Trickle, size_bytes: int, now: float) -> bool:
-        wait_s = self._budget.wait_s(self._airtime_s(size_bytes), now=now)
+    def _is_affordable(self, trickle: Trickle, size_bytes: int, now: float) -> bool:
+        wait_s = self._budget.wait_s(self._airtime_s(size_bytes), now=now, reserve_s=-trickle.credit_s)
         if wait_s > 0.0:
             trickle.due = now + max(wait_s, _LEAST_WAIT_S)  # a sum that rounds to now would be asked for for ever
         return wait_s == 0.0
 
     def _hello_bytes(self) -> int:
         return (60 + wire_control.HEARD_BYTES * len(self._graph.own.incoming)) * len(self._members)
+
+    def _tc_bytes(self) -> int:
+        return 80 + wire_control.LINK_BYTES * len(self._graph.own.incoming)
 
     def _airtime_s(self, size_bytes: int) -> float:
         return FRAME_OVERHEAD_S + 8 * (size_bytes + wire.ETHERNET_BYTES) / self._config.channel_bps
@@ -248,6 +260,7 @@ class Control:
     # -- TC ----------------------------------------------------------------------------------------------------------
 
     def _send_tc(self, now: float) -> None:
+        is_urgent = self._tc.is_urgent
         self._tc.sent(self._rng, now=now)
         own = self._graph.own
         if not own.incoming and own.tail is None:
@@ -258,9 +271,8 @@ class Control:
         sequence = self._next_sequence()
         tail = wire.tail_of(own.epoch, sequence, wire_control.encode_tc(topology))
         self._graph.note_own_tc(sequence, tail, now=now)
-        if self._floods.send(self.packet_of(own, now=now), is_retried=self._is_tc_urgent, now=now):
+        if self._floods.send(self.packet_of(own, now=now), is_retried=is_urgent, now=now):
             self._budget.spend(self._airtime_s(len(tail)), now=now)
-        self._is_tc_urgent = False
 
     def _tc_content(self) -> tuple[NodeInfo, tuple[Incoming, ...]]:
         return self._graph.own.info, incoming_of(self._graph.own)

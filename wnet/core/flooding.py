@@ -60,6 +60,17 @@ class Floods:
         """Send to one neighbour, which shall relay it."""
         self._outbox.submit(Transmission(packet, link.member, [Entry(link, ())], 1, is_group=True), now=now)
 
+    def is_gap(self, link: Link, *, now: float) -> bool:
+        """Whether this node should relay unasked what came by ``link``: the sender may not know this node's links yet,
+        as that one is not up or another has just come up, and one of the neighbours does not hear the sender."""
+        if link.is_usable and not self._links.is_news(now=now):
+            return False
+        nodes, sender = self._graph.nodes, link.neighbour
+        return any(
+            node != sender and (node not in nodes or sender not in nodes[node].incoming)
+            for node in self._links.usable_nodes()
+        )
+
     def _current(self) -> _Plan:
         if self._version != self._graph.version:
             self._version = self._graph.version

@@ -163,7 +163,7 @@ class Forwarder:
             self._journal.count(Count.DUPLICATE)
             return
         self._deliver(data.tail)
-        if any(hop.peer_mac == own_member_mac for hop in data.hops) or self._links.is_news(now=now):
+        if any(hop.peer_mac == own_member_mac for hop in data.hops) or self._floods.is_gap(link, now=now):
             self.relay_flood(data, link, now=now)
 
     def relay_flood(self, data: wire.Data, link: Link, *, now: float) -> None:

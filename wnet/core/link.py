@@ -26,6 +26,7 @@ class Link:
 
     ``told``: this node's frames as the neighbour receives them, by its word; None before. ``is_listed``: its last word
     was that it hears this node as it is now. ``is_usable``: and it has acknowledged a probe since.
+    ``agreed_at``: when its digest was this node's last; what came here until then it knows, too.
     ``misses``: frames in a row that were not acknowledged in time, ``missed_since`` the first was sent. ``is_suspect``:
     so many that alternates are used meanwhile. ``pending``: what is under way, by link sequence.
     """
@@ -35,6 +36,7 @@ class Link:
         "ack_due",
         "acks_owed",
         "address_pair",
+        "agreed_at",
         "data_window",
         "differs_since",
         "digest",
@@ -83,6 +85,7 @@ class Link:
         self.next_sequence = 0
         self.is_listed = self.is_usable = False
         self.digest = 0
+        self.agreed_at = float("-inf")
         self.differs_since = float("inf")
         self.lost_at: float | None = None
         self.is_missed = False

@@ -100,7 +100,15 @@ class Mesh:
             now=now,
         )
         self._receiver = Receiver(
-            context, seal, self._links, self._neighbours, self._outbox, self._retries, self._forwarder, self._control
+            context,
+            seal,
+            self._links,
+            self._floods,
+            self._neighbours,
+            self._outbox,
+            self._retries,
+            self._forwarder,
+            self._control,
         )
 
     @property

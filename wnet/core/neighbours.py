@@ -91,7 +91,7 @@ class Neighbours:
             if link.is_usable:
                 self.take_down(link, LinkDownReason.RESTARTED, now=now)
             link.neighbour, link.epoch = hello.node, hello.epoch
-            link.is_listed, link.lost_at = False, None
+            link.is_listed, link.lost_at, link.agreed_at = False, None, float("-inf")
             link.forget_direction_in()
             link.forget_direction_out()
         if link is None:

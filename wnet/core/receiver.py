@@ -6,6 +6,7 @@ from wnet.core import wire, wire_control
 from wnet.core.context import Context
 from wnet.core.control import Control
 from wnet.core.events import Count, Drop
+from wnet.core.flooding import Floods
 from wnet.core.forwarding import Forwarder
 from wnet.core.link import Link
 from wnet.core.links import LinkTable
@@ -27,6 +28,7 @@ class Receiver:
         context: Context,
         seal: Seal | None,
         links: LinkTable,
+        floods: Floods,
         neighbours: Neighbours,
         outbox: Outbox,
         retries: Retries,
@@ -39,6 +41,7 @@ class Receiver:
         self._journal = context.journal
         self._seal = seal
         self._links = links
+        self._floods = floods
         self._neighbours = neighbours
         self._outbox = outbox
         self._retries = retries
@@ -140,15 +143,28 @@ class Receiver:
         if self._graph.is_former(node, epoch):
             self._journal.count(Count.DUPLICATE)
             return
+        is_listed = any(hop.peer_mac == own_mac for hop in data.hops)
         if not self._forwarder.is_new_tc(data.tail) or not self._graph.is_newer(node, epoch, sequence):
             self._journal.count(Count.DUPLICATE)
+            if is_listed:
+                self._relay_tc(node, link, data, now)
             return
         topology = wire_control.decode_tc(wire.inner_of(data.tail))
         if isinstance(topology, Drop):
             self._journal.count(topology)
             return
         age_s = data.sequence * wire.AGE_UNIT_S
-        is_relay = any(hop.peer_mac == own_mac for hop in data.hops) or self._links.is_news(now=now)
+        is_relay = is_listed or (
+            self._floods.is_gap(link, now=now) and self._control.may_relay_unasked(len(data.tail), now=now)
+        )
         if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and is_relay:
+            self._relay_tc(node, link, data, now)
+
+    def _relay_tc(self, mac: bytes, link: Link, data: wire.Data, now: float) -> None:
+        """Relay a TC, once. Also when only a later copy asks for it: while links come and go, the relays that the
+        sender of the first one chose may not reach all that this node does."""
+        node = self._graph.nodes.get(mac)
+        if node is not None and node.tail == data.tail and not node.is_relayed:
+            node.is_relayed = True
             self._control.account(len(data.tail), now=now)
             self._forwarder.relay_flood(data, link, now=now)

@@ -46,6 +46,10 @@ class Node:
     """Whether its links are by its own word; else by a neighbour's."""
     told_at: float = 0.0
     """When that TC left its origin, by this node's clock."""
+    came_at: float = 0.0
+    """When it came here."""
+    is_relayed: bool = False
+    """Whether this node has sent it on."""
     expires: float = 0.0
     former_epochs: tuple[int, ...] = ()
 
@@ -131,7 +135,7 @@ class TopologyGraph:
         self.digest ^= _digest_of(node)
         node.sequence, node.tail = sequence, tail
         self.digest ^= _digest_of(node)
-        node.told_at = now - age_s
+        node.told_at, node.came_at, node.is_relayed = now - age_s, now, False
         self._keep(node, now + hold_s)
         node.has_spoken = True
         self._set_info(node, topology.info)
@@ -140,7 +144,7 @@ class TopologyGraph:
 
     def note_own_tc(self, sequence: int, tail: bytes, *, now: float) -> None:
         """Remember this node's own TC."""
-        self.own.told_at = now
+        self.own.told_at = self.own.came_at = now
         self.digest ^= _digest_of(self.own)
         self.own.sequence, self.own.tail = sequence, tail
         self.digest ^= _digest_of(self.own)
