@@ -8,7 +8,7 @@ import pytest
 
 from tests.wnet.test_goals import GOAL_S, PING_S, p90, ping, places, resumed_s, scattered
 
-HEAL_SEEDS, MERGE_SEEDS = (0, 1002), (4, 20)
+HEAL_SEEDS, MERGE_SEEDS = (0, 2), (4, 20)
 MERGE_GOAL_S = 1.0
 
 

@@ -36,7 +36,7 @@ _FLOOD_SHARE, _MOST_SPACING_S = 0.1, 0.2
 _GATHER = 0.25
 """A TC waits for other links to come up for this part of that time, or up to twice as long."""
 _LEAST_WAIT_S = 0.001
-_CREDIT_S = 10.0
+_CREDIT_S, _RELAY_CREDIT_S = 10.0, 5.0
 """Links that come up are told on credit: many come at once, then none for long. Those that go spend what is saved."""
 _LONGEST_INTERVALS = 3.0
 """A debt does not delay HELLOs by more than so many of the slow intervals."""
@@ -146,6 +146,10 @@ class Control:
         """Return a node's last TC as it travels."""
         age_s = max(now - node.told_at, 0.0)
         return Packet(wire.TC, node.tail or b"", self._config.hop_limit, CONTROL, None, age_s=age_s)
+
+    def may_relay_unasked(self, size_bytes: int, *, now: float) -> bool:
+        """Whether another node's TC that nobody asked this one to relay leaves enough for its own."""
+        return self._budget.wait_s(self._airtime_s(size_bytes), now=now, reserve_s=-_RELAY_CREDIT_S) == 0.0
 
     def account(self, size_bytes: int, *, now: float) -> None:
         """Account for what is sent besides: another node's TC, a probe."""

@@ -154,7 +154,9 @@ class Receiver:
             self._journal.count(topology)
             return
         age_s = data.sequence * wire.AGE_UNIT_S
-        is_relay = is_listed or self._floods.is_gap(link, now=now)
+        is_relay = is_listed or (
+            self._floods.is_gap(link, now=now) and self._control.may_relay_unasked(len(data.tail), now=now)
+        )
         if self._graph.update(topology, epoch, sequence, data.tail, age_s=age_s, now=now) and is_relay:
             self._relay_tc(node, link, data, now)
 
