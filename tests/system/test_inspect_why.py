@@ -1,4 +1,7 @@
-"""Messages delayed on purpose in a real lab: ``inspect --why`` names the true cause, in words and with times."""
+"""Messages delayed on purpose in a real lab: ``inspect --why`` names the true cause, in words and with times.
+
+In virtual time: a machine that is late adds causes of its own, and they are named, too.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,8 @@ from netlab.traces.load import read_trace
 from netlab.traces.sentences import because, fate_text
 from netlab.traces.story import Fate, Sending, Story
 from netlab.traces.tell import tell
+
+pytestmark = pytest.mark.lab_clock("virtual")
 
 BETWEEN = ["base", "robot1"]
 
@@ -186,7 +191,6 @@ def test_a_rate_limit(make_lab: MakeLab) -> None:
     assert {row["topic"]: row["held"] for row in queues["waiting"]}["brief"] >= 1
 
 
-@pytest.mark.lab_clock("virtual")  # a machine that is late adds a cause of its own
 def test_several_causes_are_ranked_by_what_each_took(make_lab: MakeLab) -> None:
     bulk = {"topic": "map", "priority": 5, "size": "300kB", "rate": "0.5Hz"}
     cut = {"at": "0.4s", "outage": {"between": BETWEEN, "for": "300ms"}}
