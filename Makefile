@@ -43,7 +43,7 @@ test: $(STAMP) tools
 OVER_NETEM := tests/agreement/test_agreement_engines.py $(wildcard tests/system/test_kernel_netem*.py) \
   $(addprefix tests/system/test_,lab_flood_netem.py lab_hwsim.py lab_measured.py lab_mesh.py lab_scenarios.py lab_wnet_hwsim.py \
   netem_capture.py udp_mesh_goals.py)
-OVER_AIR := $(addprefix tests/system/test_,air.py inspect_why.py lab_scenarios.py)
+OVER_AIR := $(addprefix tests/system/test_,air.py inspect_why.py lab_scenarios.py udp_mesh_copies.py)
 IN_BOXES := -n 2 --lab-clock=virtual
 
 test-vm: $(STAMP) tools vm-tools

@@ -22,10 +22,10 @@ PAIR = Path(__file__).parents[1] / "data" / "cli" / "pair.yaml"
 TALKER = "nodes.a.processes=[udp_mesh, {argv: [sh, -c, 'echo line one; echo line two >&2'], name: talker}]"
 LIMIT_S = 10.0
 
-#: Round trip of a refused connection, in seconds: needs nobody at the other end.
+#: Round trips of refused connections, in seconds: needs nobody at the other end.
 ROUND_TRIP = """
 import socket, time
-for attempt in range(2):  # the first one also resolves the address
+for attempt in range(6):  # the first one also resolves the address
     s = socket.socket(); s.settimeout(5); t = time.monotonic()
     try: s.connect(("b", 9))
     except ConnectionRefusedError: print(time.monotonic() - t)
@@ -155,7 +155,8 @@ def test_link_one_way_cuts_silently_and_up_heals_whatever_was_cut(lab: Any) -> N
 
 def test_link_changes_take_effect_per_direction(lab: Any) -> None:
     def round_trip_s() -> float:
-        return float(lab("exec", "a", "--", "python3", "-c", ROUND_TRIP).stdout.split()[1])
+        words = lab("exec", "a", "--", "python3", "-c", ROUND_TRIP).stdout.split()
+        return min(float(word) for word in words if word != "lost")
 
     assert lab("link", "a", "b", "delay=40ms").returncode == 0
     assert 0.080 <= round_trip_s() < 0.140

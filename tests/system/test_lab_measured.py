@@ -1,4 +1,7 @@
-"""Measured links in a lab, on both engines: strengths over time decide who is heard, words between rows follow."""
+"""Measured links in a lab, on both engines: strengths over time decide who is heard, words between rows follow.
+
+In virtual time: one expectation is a time.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,8 @@ from netlab.capture.records import JsonRecord, Kind
 from netlab.lab.facade import Lab
 from netlab.pytest_plugin import MakeLab
 from netlab.scenario import parse_scenario
+
+pytestmark = pytest.mark.lab_clock("virtual")
 
 
 @pytest.fixture(params=["air", "netem"])

@@ -31,14 +31,14 @@ t = time.monotonic(); s.sendto(b"x", ("b", 9)); s.recv(9); print(time.monotonic(
     echo = (
         "import socket\ns = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(('0.0.0.0', 9)); s.settimeout(9)\n"
     )
-    echo += "print('bound', flush=True)\nfor _ in range(2): s.sendto(*s.recvfrom(9))\n"
+    echo += "print('bound', flush=True)\nfor _ in range(6): s.sendto(*s.recvfrom(9))\n"
     server = {**TWO, "nodes": {"a": {}, "b": {"processes": [{"argv": ["python3", "-uc", echo], "name": "echo"}]}}}
     lab = make_lab(server)
     while "bound" not in lab.log("b", "echo"):
         lab.status()
     lab.exec("a", "python3", "-c", script)  # the first one also resolves the address
-    round_trip_s = float(lab.exec("a", "python3", "-c", script).stdout)
-    assert 0.010 <= round_trip_s < 0.1
+    least_s = min(float(lab.exec("a", "python3", "-c", script).stdout) for _ in range(5))
+    assert 0.010 <= least_s < 0.1
 
 
 def test_each_node_has_private_directories_and_shared_memory(make_lab: MakeLab, tmp_path: Path) -> None:

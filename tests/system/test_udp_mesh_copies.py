@@ -1,9 +1,16 @@
-"""Copies that `redundancy` asks for are no retransmissions, in a lab with real daemons as in its report."""
+"""Copies that `redundancy` asks for are no retransmissions, in a lab with real daemons as in its report.
+
+In virtual time: on a machine that stands still for a moment acknowledgements are late, and retransmissions true.
+"""
 
 from __future__ import annotations
 
+import pytest
+
 from netlab.pytest_plugin import MakeLab
 from netlab.traces.retransmissions import retransmissions
+
+pytestmark = pytest.mark.lab_clock("virtual")
 
 
 def test_redundant_telemetry_on_a_clean_wire_retransmits_nothing(make_lab: MakeLab) -> None:
