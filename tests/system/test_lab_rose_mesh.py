@@ -21,8 +21,8 @@ from rose.core.wire import Kind as FrameKind
 from wnet.core import wire
 from wnet.io import dot11, radiotap
 
-#: A busy machine loses packets of the capture; in virtual time none.
-pytestmark = pytest.mark.real_time
+#: A busy machine loses packets of the capture; in virtual time none. Monitors of radios are TAPs.
+pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("taps")]
 
 SCENARIO = Path(__file__).parents[2] / "topologies" / "rose_laser.yaml"
 LASER = ServiceId.parse("10.240.0.1/0.1")
