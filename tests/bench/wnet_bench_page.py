@@ -24,7 +24,7 @@ Silent cuts; datagrams of 100 bytes at 50 Hz between `a` and `b`, both ways, bel
 restoration) until both ends have got one that was sent since, in seconds, p50 / p90; five nodes as in
 `topologies/relay_diamond.yaml`, and a line of three hops. `-`: not in time
 (wnet and flood 4 s, batman-adv 15 s, babeld 20 s and more). Goal of wnet: 0.3 s at p90 where
-a relay falls silent and another way exists, and where three hops come back after 15 s.
+a relay falls silent and another way exists, and where three hops come back after 15 s. Empty: not measured.
 """
 _MULTICAST = """
 ## The paper's multicast test
@@ -32,7 +32,8 @@ _MULTICAST = """
 One source, three receivers by radio (802.11g, noise -91 dBm), one of which hears the source well enough and
 relays to the others; 1000-byte datagrams at a constant rate to a group. Share of datagrams that arrive at a receiver,
 and the delay of those in ms, p50 / p95. Goal: never fewer than the flood, more wherever it loses over 1 %, and sooner
-there; no congestion up to 600 kbit/s.
+there; no congestion up to 600 kbit/s. What a mesh loses is in no delay: a high p95 beside a higher share is what others
+have lost.
 """
 _CONTROL = """
 ## What an idle mesh costs
