@@ -9,8 +9,11 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from mesh_rig import TELEMETRY, Rig, saturate
 

@@ -7,14 +7,13 @@ may be small: what it has no room for is lost.
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from random import Random
 
 from netlab.medium.impairments import PERFECT, Impairment
 from netlab.medium.pair import DROPPED, Outcome, Pair
 from netlab.medium.verdicts import Verdict
+from tests.virtual_calls import VirtualCalls
 from udp_mesh.core.events import Event, MessageDelivered
 from udp_mesh.core.mesh import MeshCore, Path, new_epoch
 from udp_mesh.core.outbox import Refused
@@ -41,7 +40,7 @@ class Node:
         return max((end for begin, end in self.stalls if begin <= now < end), default=now)
 
 
-class Rig:
+class Rig(VirtualCalls):
     """Nodes ``a`` and ``b`` and the wire between them; time begins at 0."""
 
     def __init__(
@@ -53,7 +52,7 @@ class Rig:
         **settings: object,
     ) -> None:
         rng = Random(seed)
-        self.now = 0.0
+        super().__init__(0.0)
         self.rng = rng
         self.verdicts: dict[Verdict, int] = {}
         self.frames = 0
@@ -61,8 +60,6 @@ class Rig:
         self.queued: list[tuple[float, Verdict]] = []
         self.socket_bytes = socket_bytes
         self.socket_drops = 0
-        self._heap: list[tuple[float, int, Callable[[], None]]] = []
-        self._order = 0
         self._medium_stalls = (stalls or {}).get("medium", ())
         self.nodes = {}
         for name in "ab":
@@ -86,21 +83,6 @@ class Rig:
         for pair in self.pairs.values():
             pair.set_outage(active)
 
-    def at(self, when_s: float, call: Callable[[], None]) -> None:
-        """Call something at a virtual time."""
-        self._order += 1
-        heapq.heappush(self._heap, (when_s, self._order, call))
-
-    def every(self, interval_s: float, call: Callable[[], None], *, until_s: float) -> None:
-        """Call something regularly from now on."""
-
-        def again() -> None:
-            call()
-            if self.now + interval_s < until_s:
-                self.at(self.now + interval_s, again)
-
-        self.at(self.now, again)
-
     def meet(self) -> None:
         """Run until both are online."""
         while not all(any(p.online for p in n.core.peers(now=self.now)) for n in self.nodes.values()):
@@ -115,13 +97,12 @@ class Rig:
             self._settle(node)
         while True:
             timers = {node.name: node.stalled_until(node.core.next_timer()) for node in self.nodes.values()}
-            next_s = min([*timers.values(), *(entry[0] for entry in self._heap[:1])])
+            next_s = min([*timers.values(), *(entry[0] for entry in self._calls[:1])])
             if next_s > end_s:
                 self.now = end_s
                 return
             self.now = max(self.now, next_s)
-            if self._heap and self._heap[0][0] <= self.now:
-                heapq.heappop(self._heap)[2]()
+            if self._call_due():
                 continue
             for node in self.nodes.values():
                 if timers[node.name] <= self.now:
